@@ -19,6 +19,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import POSE, BoardEffect, CameraEffect
 from mobilecal_cli.likelihood.evidence import equivalent_sigmas, from_chance
+from mobilecal_cli.likelihood.legs import residuals_moved
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray, camera_words
 
@@ -28,6 +29,8 @@ _FAINT = 400.0  # 1/rad^2, 1/m^2: a step of 0.05 rad or m does not show; derivat
 _ALIKE = 6.0  # twice the logarithm of how much likelier one part is than another that it may be confused with
 #: The parts that differ between recordings alone: with different boards, and with another load or tire pressure.
 BETWEEN = SIZE, SHAPE, BOTH_WHEELS = "board's size", "board's shape", "both wheels"
+#: How the part is called that is one camera's focal length, or that of all.
+FOCAL = "focal length of "
 #: Parts that are wheels → which of the radii they have, of the right and the left one.
 WHEELS = {"right wheel": [0], "left wheel": [1], BOTH_WHEELS: [0, 1]}
 
@@ -37,8 +40,8 @@ class Jump:
     """A step of one part.
 
     Attributes:
-        part: "head mount", "joint <name>", "board", "<name> camera", "right wheel", "left wheel", `BOTH_WHEELS`,
-            `SIZE` or `SHAPE`.
+        part: "head mount", "joint <name>", "board", "<name> camera", "focal length of the <name> camera",
+            "right wheel", "left wheel", `BOTH_WHEELS`, `SIZE` or `SHAPE`.
         station: index of the first station after it; the first of a recording that differs from the others.
         chi2, dof: of the score test.
         tried: number of parts and moments of its kind, inside recordings or between them, that were compared; of both
@@ -47,8 +50,8 @@ class Jump:
         shift_sigmas: how far the jump moves the nine parameters, or is itself in their units: the largest, in standard
             deviations; the rotation of a camera against the first one in those of its prior.
         value: (m,) the step: twist of the camera in the head (rad, m), rad or m of the joint, twist of the board in its
-            own frame (rad, m), rotation and position of a camera against the first one (rad, m), m of the radius, or
-            of both radii, or constants of the board, in units of a few prior sigmas.
+            own frame (rad, m), rotation and position of a camera against the first one (rad, m), share of the focal
+            length, m of the radius, or of both radii, or constants of the board, in units of a few prior sigmas.
         also: another part that explains about the same; "" if none does.
     """
 
@@ -103,7 +106,7 @@ def traced(lin: Posterior) -> Posterior:
 
 
 def _constants(data: Dataset) -> dict[str, list[int]]:
-    """Which of the direct constants are a part: a camera's pose in the first one; the board's size, or its shape.
+    """Direct constants of each part: a camera's pose in the first one, focal lengths, the board's size or shape.
 
     Those of the board where recordings may differ in them.
     """
@@ -111,6 +114,10 @@ def _constants(data: Dataset) -> dict[str, list[int]]:
     for k, (_, name, effect) in enumerate(data.layout.direct):
         if isinstance(effect, CameraEffect) and effect.camera and effect.of in POSE:
             parts.setdefault(camera_words(names[effect.camera]), []).append(k)
+        elif isinstance(effect, CameraEffect) and name == f"focal_{names[effect.camera or 0]}":
+            parts[f"{FOCAL}the {camera_words(names[effect.camera or 0])}"] = [k]
+            if len(names) > 1:
+                parts.setdefault(f"{FOCAL}all cameras", []).append(k)
         elif isinstance(effect, BoardEffect) and data.logs > 1:
             parts.setdefault(SIZE if name == "square_scale" else SHAPE, []).append(k)
     return parts
@@ -190,10 +197,15 @@ def _scores(lin: Posterior, part: _Part, stations: Sequence[int] | IntArray, las
 
 
 def without(lin: Posterior, jump: Jump) -> Posterior:
-    """The same point with the residuals that remain after a step, to first order."""
+    """The same point with the residuals that remain after a step: exact for wheels, to first order for other parts."""
     part, after = _parts(lin)[jump.part], stations_after(lin, jump.station)
     views = lin.views.shifted(np.where(after[:, None], part.views @ jump.value, 0.0))
-    offset = np.where(after[lin.data.legs[:, 1], None], part.legs @ jump.value, 0.0)
+    moved = part.legs @ jump.value
+    if jump.part in WHEELS:
+        step = np.zeros(lin.data.layout.size)
+        step[6:8][WHEELS[jump.part]] = jump.value
+        moved = residuals_moved(lin.state, step, lin.processes)
+    offset = np.where(after[lin.data.legs[:, 1], None], moved, 0.0)
     return lin.changed(known={"views": views}, leg_offset=lin.leg_offset + offset)
 
 

@@ -134,6 +134,13 @@ def linearize_legs(state: State, processes: Processes) -> Legs:
     return Legs(*(np.concatenate(both, axis=1) for both in zip(odometry, sensor, strict=True)))
 
 
+def residuals_moved(state: State, step: FloatArray, processes: Processes) -> FloatArray:
+    """(L, K) change of all residuals by a step of the shared parameters."""
+    before, after = (linearize_legs(at, processes).residual for at in (state, state.plus_shared(step)))
+    change = after - before
+    return np.concatenate([_wrapped(change[:, :3]), change[:, 3:]], axis=1)
+
+
 def _wrapped(residual: FloatArray) -> FloatArray:
     """(L, 3) the same with headings from -pi to pi."""
     residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi

@@ -14,7 +14,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import encoder_steps_rad
-from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.likelihood import jumps, nuisance
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     CHAIN_ENDS,
@@ -257,6 +257,12 @@ def _part_words(part: str, extraction: Extraction) -> tuple[str, str, str]:
     if part == "head mount":
         on = "head" if extraction.rig.chain.joints else "base"
         return f"the camera on the {on}", "moved", f"Fasten the camera to the {on}, and switch autofocus off"
+    if part.startswith(jumps.FOCAL):
+        return (
+            f"the {visible(part)}",
+            "changed",
+            "Switch autofocus and zoom off, and calibrate this camera again",
+        )
     first = camera_words(extraction.rig.cameras.names[0])
     camera = (
         f"the {visible(part)} against the {first}",

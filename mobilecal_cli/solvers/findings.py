@@ -97,7 +97,8 @@ def jumps_of(extraction: Extraction, fit: Fit, jump: jumps.Jump | None) -> tuple
     turns, value, cameras = jumps.turning(fit.data, jump), jump.value, fit.data.cameras
     turn, others = float(np.linalg.norm(value[turns])), value[~turns]
     of_pair = cameras.calibrated and jump.part == camera_words(cameras.names[1])
-    move = 0.0 if of_pair or jump.part in (jumps.SIZE, jumps.SHAPE) else float(np.linalg.norm(others))
+    no_move = of_pair or jump.part in (jumps.SIZE, jumps.SHAPE) or jump.part.startswith(jumps.FOCAL)
+    move = 0.0 if no_move else float(np.linalg.norm(others))
     if jump.part in jumps.WHEELS or jumps.slides(fit.data, jump):
         move = float(value[np.argmax(np.abs(value))])
     if jump.shift_sigmas < MATERIAL_SIGMAS and turns.any() and turn < SMALL_RAD:
@@ -172,9 +173,11 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
         i, j = fit.data.legs[leg].tolist()
         x, y, psi = apart[leg]
         by = f"{math.hypot(x, y) * 1e3:.0f} mm and {abs(math.degrees(psi)):.1f} degrees"
+        last = j + 1 == len(fit.data.log) or fit.data.log[j + 1] != fit.data.log[j]
+        lasting = " A wheel whose size changes on the last leg looks the same." if last else ""
         text = (
             f"{what} between stations {name(i)} and {name(j)}, {clock(j)}: wheels and {sensors} "
-            f"differ by {by}. The odometry of this leg is excluded."
+            f"differ by {by}. The odometry of this leg is excluded.{lasting}"
         )
         add("slip", (i, j), text)
     expected, joints, prismatic = state.T_c_k, extraction.rig.chain.joints, extraction.rig.chain.prismatic

@@ -49,6 +49,7 @@ _OBSERVABILITY_ROUNDS = 8
 #: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
 JUMP_SIGMAS, _CANDIDATE_SIGMAS = 3.3, 0.5
 _MOST_JUMPS = 3  # that are searched for one after another
+_LARGE_STEPS = 6  # to the size of a jump that explains outliers: of a wheel, it is no small one
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
 _UNEXPLAINED, _OF_STRETCH = 0.1, 0.5  # share of their misfit that a jump may leave; of outliers in a row
 #: Noise levels that a jump may make large: those of the processes, and others.
@@ -367,20 +368,22 @@ class Inference:
             return None
         try:
             lin = to_first_order(jumps.traced(self.refit(fit, images).lin).with_inliers(everything.inliers))
-            ranked = jumps.likeliest(lin)
-            if not ranked or not jumps.lasts(lin, ranked[0]):
+            jump = next((each for each in jumps.likeliest(lin) if jumps.lasts(lin, each)), None)
+            if jump is None:
                 return None
             corners, legs = (
                 getattr(lin.inliers, kind).sum() - getattr(was, kind).sum()
                 for kind in ("used_corners", "legs")
             )
             good = fit.lin.cost + 2 * int(corners) + 3 * int(legs)
-            misfit = lin.cost - good
-            lin = to_first_order(jumps.without(lin, ranked[0]))
+            misfit, optimum = lin.cost - good, lin
+            for _ in range(_LARGE_STEPS):
+                lin = to_first_order(jumps.without(optimum, jump))
+                jump = jumps.again(lin, jump)
             most = _UNEXPLAINED if outliers.longest_stretch(fit) is None else _OF_STRETCH
             if lin.cost - good > most * misfit:
                 return None
-            jump, without = _sized(fit, jumps.again(lin, ranked[0]), lin), replace(fit, lin=lin)
+            jump, without = _sized(fit, jump, lin), replace(fit, lin=lin)
         except (SolveError, np.linalg.LinAlgError):
             return None  # the images alone do not fit, or do not determine all parameters
         log = self.data.log[jump.station]

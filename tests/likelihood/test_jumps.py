@@ -240,6 +240,7 @@ def test_a_wheel_that_changes_under_a_fixed_camera_is_no_exchange_of_both():
     ("seed", "first", "change", "outliers"),
     [
         (3, 20, 1.08, 3),
+        (3, 22, 0.5, 2),  # two legs alone: both were slips, and a PASS with the size before
         *(
             pytest.param(*case, 0, marks=pytest.mark.long)
             for case in ((3, 4, 1.1), (4, 19, 1.06), (6, 18, 1.04), (3, 12, 1.1))
@@ -259,6 +260,26 @@ def test_a_wheel_that_changes_is_named(seed, first, change, outliers):
     assert solution.contradictions == ()
     # The jump explains the misfit; or the table of mistakes names the same, where noise took up most of it.
     assert solution.diagnosis is None or "the left wheel's readings become" in solution.diagnosis.cause
+
+
+def test_a_wheel_that_changes_on_the_last_leg_looks_like_a_slip():
+    whole = simulated("standard", NOISE, ROBOT, STATIONS, 3)
+    solution = solve(with_wheel(whole, "left", whole.observations[-2].time_ns, 1.3))
+    (outlier,) = solution.outliers
+    assert (solution.jumps, outlier.kind, outlier.observations[-1]) == ((), "slip", STATIONS - 1)
+    assert outlier.text.endswith("A wheel whose size changes on the last leg looks the same.")
+
+
+@pytest.mark.parametrize(("cameras", "by"), [(("left",), 0.01), (("left", "right"), 0.03)])
+def test_a_camera_that_focuses_anew_has_not_moved(whole, cameras, by):
+    """It was "the right camera against the left camera moved", or wheel noise where both cameras do so."""
+    refocused = extraction_of(ROBOT, ROUTE, NOISE, 1, constants={f"focal_{name}": by for name in cameras})
+    changed = spliced(whole, refocused)
+    solution = solve(changed)
+    (jump,) = solution.jumps
+    which = "the left camera" if len(cameras) == 1 else "all cameras"
+    assert (jump.part, jump.station, jump.move_m) == (f"focal length of {which}", HALF, 0)
+    assert f"the focal length of {which} changed" in judge(solution, changed).reason
 
 
 def slipping(whole, legs):
