@@ -101,7 +101,7 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
 
 
 def traced(lin: Posterior) -> Posterior:
-    """The same point, with all constants that a jump may change traced: see `Images`."""
+    """The same point, with all constants that a jump may change traced: see `Views`."""
     return lin.tracing(tuple(6 + k for of_part in _constants(lin.data).values() for k in of_part))
 
 

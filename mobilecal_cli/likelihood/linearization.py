@@ -53,7 +53,7 @@ class Linearization:
         rates: (C, N, 6) see `State.view_rates`.
         leg_offset: (L, K) to be added to the legs' residuals, or 0.
         apart: whether the images' information is kept station by station, not in sums over each recording.
-        traced: see `Images.traced`; further ones of (delta, direct constants).
+        traced: see `Views.traced`; further ones of (delta, direct constants).
     """
 
     state: State

@@ -16,7 +16,7 @@ from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.linearization import Linearization, solvable
 from mobilecal_cli.likelihood.measurements import BASE, ERRORS
 from mobilecal_cli.likelihood.state import Step
-from mobilecal_cli.likelihood.views import Images, roots, summed
+from mobilecal_cli.likelihood.views import roots, summed
 from mobilecal_cli.model import EXACT, FloatArray, IntArray
 
 _FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
@@ -156,7 +156,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     E_base, E_board = across[:, :, :6] @ views.by_base, across[:, :, :6] @ views.by_board
     E_shared = views.onto_shared(across)
 
-    both, A, of_direct = _without_own(lin, views, damping)
+    both, A, of_direct = _without_own(lin, damping)
     G, gradient = both[:, :, :-1], both[:, :, -1]
     GS, GK = views.onto_shared(G), G[:, :, :6] @ views.by_board
     # By the shared parameters, delta where own errors follow; its rows of the direct constants lack ``direct``.
@@ -262,7 +262,7 @@ def _by_log(data: Dataset, values: FloatArray) -> FloatArray:
 
 
 def _without_own(
-    lin: Linearization, images: Images, damping: float = 0.0, beside: FloatArray | float = 0.0
+    lin: Linearization, damping: float = 0.0, beside: FloatArray | float = 0.0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Eliminate each station's own errors without cancellation.
 
@@ -272,36 +272,35 @@ def _without_own(
 
     Args:
         lin, damping: see `eliminated`.
-        images: of all stations.
         beside: see `station_rows`.
 
     Returns:
         (N, 6, Q + 1) information of delta with (delta, direct constants), and its gradient; (N, 6, 6) A; and (D,)
         gradient of the direct constants with own errors at their means.
     """
-    J, G, P = lin.views.by_own, images.rows[:, :6], lin.own_sigmas**2 / (1 + damping)
+    views, P = lin.views, lin.own_sigmas**2 / (1 + damping)
+    J, G = views.by_own, views.rows[:, :6]
     A = (J * P[:, None]) @ J.mT + beside
     # With the present errors o the gradient is that of delta - J o: moved back by them, as far as they are not damped.
     back = J @ (lin.state.own / (1 + damping))[..., None]
-    both = np.concatenate([G, images.pull[:, :6, None] - G[:, :, :6] @ back], axis=2)
+    both = np.concatenate([G, views.pull[:, :6, None] - G[:, :, :6] @ back], axis=2)
     root, inverse = roots(G[:, :, :6])
-    of_direct = images.gradient.sum(axis=0) - summed(G[:, :, 6:], back)[:, 0]
+    of_direct = views.gradient.sum(axis=0) - summed(G[:, :, 6:], back)[:, 0]
     return root @ (np.linalg.inv(np.eye(6) + root.mT @ A @ root) @ (inverse @ both)), A, of_direct
 
 
-def station_rows(lin: Linearization, images: Images, beside: FloatArray | float = 0.0) -> FloatArray:
+def station_rows(lin: Linearization, beside: FloatArray | float = 0.0) -> FloatArray:
     """(N, T, Q) rows of each station's information at its traced unknowns, its own errors eliminated.
 
     Args:
         lin: the point.
-        images: its views, or all stations' images with other unknowns that are traced.
         beside: (N, 6, 6) covariance of whatever else moves the board in the camera.
     """
-    both, A, _ = _without_own(lin, images, beside=beside)
+    both, A, _ = _without_own(lin, beside=beside)
     both = both[:, :, :-1]
-    further = images.rows[:, 6:]
+    further = lin.views.rows[:, 6:]
     further = further - further[:, :, :6] @ (A @ both)
-    further[:, :, :6] = both[:, :, images.traced[6:]].mT
+    further[:, :, :6] = both[:, :, lin.views.traced[6:]].mT
     return np.concatenate([both, further], axis=1)
 
 

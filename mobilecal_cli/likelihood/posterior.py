@@ -17,7 +17,7 @@ from mobilecal_cli.likelihood.measurements import ERRORS
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, station_rows
 from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
 from mobilecal_cli.likelihood.state import Step
-from mobilecal_cli.likelihood.views import Images
+from mobilecal_cli.likelihood.views import Views
 from mobilecal_cli.model import NINE, FloatArray
 
 _SCATTERS = 5.0  # of what noise alone would show, in its standard deviations
@@ -37,7 +37,7 @@ class Posterior(Linearization):
     @cached_property
     def station_rows(self) -> FloatArray:
         """(N, T, Q) see `normal.station_rows`."""
-        return station_rows(self, self.views)
+        return station_rows(self)
 
     @cached_property
     def information(self) -> FloatArray:
@@ -143,7 +143,7 @@ class Marginals:
         out: FloatArray = self.errors - mixed - mixed.mT
         return out + rho[:, :, None] * np.roll(self.errors, 1, axis=0) * rho[:, None, :]
 
-    def leverage(self, images: Images) -> float:
+    def leverage(self, images: Views) -> float:
         """How much of the information of all images the unknowns take up."""
         of_poses = np.sum(images.rows[:, :6, :6] * self.views) + np.sum(images.direct * self.direct)
         return float(of_poses + 2 * np.sum(images.rows[:, :6, 6:] * self.mixed))
@@ -155,7 +155,7 @@ class Marginals:
         mixed = np.einsum("na,nab,nb->n", pose, self.mixed, direct)
         return np.asarray(of_pose + 2 * mixed + np.sum((direct @ self.direct) * direct, axis=1))
 
-    def of_gradient(self, images: Images) -> FloatArray:
+    def of_gradient(self, images: Views) -> FloatArray:
         """(N, 6, 6) covariance that the unknowns give the images' gradient by delta."""
         G, across = images.rows[:, :6, :6], images.rows[:, :6, 6:]
         mixed = G @ self.mixed @ across.mT

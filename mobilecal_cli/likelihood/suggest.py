@@ -23,7 +23,6 @@ from mobilecal_cli.likelihood.measurements import (
 from mobilecal_cli.likelihood.normal import station_rows
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.likelihood.views import images_of
 from mobilecal_cli.model import NINE, BoolArray, FloatArray, Suggestion, WheelTrack
 
 #: Accuracy that a robot needs, rad, m, and of the wheels themselves: the least certain parameter is the worst of it.
@@ -167,7 +166,8 @@ def _with_stops(lin: Posterior, ways: FloatArray, joints: FloatArray) -> Posteri
     base = np.concatenate([state.base[[-1, -1], BASE], _bases(state, ways)])
     there = State.without_errors(wide, state.parameters, state.T_w_k[: last + 1], base)
     there = replace(there, constants=state.constants)
-    return Posterior.at(there, Inliers.all_of(wide), lin.noise, lin.priors)
+    every = Posterior.at(there, Inliers.all_of(wide), lin.noise, lin.priors)
+    return every.changed(apart=True, traced=tuple(range(6, 6 + len(wide.layout.direct))))
 
 
 def _evenly(ways: FloatArray) -> FloatArray:
@@ -193,12 +193,10 @@ def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
     noise[:, errors, errors] = lin.processes.variance[1:]
     J = views.by_base[1:] @ np.linalg.inv(left)
     beside = np.concatenate([np.zeros((1, 6, 6)), J @ noise @ J.mT])
-    stops, direct = np.arange(lin.data.stations), range(6, 6 + len(views.columns))
-    images = images_of(lin.state, lin.inliers, lin.noise, lin.rates, stops, traced=direct)
     rows = J[1:] @ right[1:]
     rows[:, :, :P] += views.by_shared[2:]
     rows[:, :, P : P + 6] += views.by_board[2:]
-    return rows, station_rows(lin, images, beside)[2:, np.argsort(images.traced)]
+    return rows, station_rows(lin, beside)[2:, np.argsort(views.traced)]
 
 
 def suggestions(lin: Posterior, covariance: FloatArray) -> tuple[Suggestion, ...]:

@@ -26,11 +26,12 @@ _OWN = {"delay_s": "pair_s", "principal": "shift_px"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Images:
-    """Residuals of the images at N stations, whitened, as functions of Q unknowns each: (delta, direct constants).
+class Views:
+    """Residuals of the images at N stations, whitened, and how all unknowns move the board in them.
 
-    The information J^T J of the inliers and the gradient J^T r are kept station by station for some of the unknowns,
-    and in sums over the stations of a group for all direct constants: there may be hundreds of these.
+    They are functions of Q unknowns each: (delta, direct constants). The information J^T J of the inliers and the
+    gradient J^T r are kept station by station for some of these, and in sums over the stations of a group for all
+    direct constants: there may be hundreds of these.
 
     Attributes:
         traced: (T,) which of the Q unknowns are kept station by station: delta, constants of which each image has its
@@ -42,6 +43,13 @@ class Images:
         group: (N,) group of each station, ascending; a recording, or the station itself.
         direct: (G, Q - 6, Q - 6) information about the direct constants, of each group.
         gradient: (G, Q - 6) gradient by these.
+        by_base: (N, 6, B) delta by the station's base block: by base pose, floor and stamp error.
+        by_own: (N, 6, J + 3) delta by joint errors and by the sway.
+        by_board: (N, 6, 6) delta by the pose of the recording's board.
+        by_shared: (N, 6, P) delta by the parameters that all recordings share.
+        log: (N,) the recording of each station.
+        columns: (Q - 6,) of the direct constants among these parameters.
+        moving: of all others.
     """
 
     traced: IntArray
@@ -52,6 +60,13 @@ class Images:
     group: IntArray
     direct: FloatArray
     gradient: FloatArray
+    by_base: FloatArray
+    by_own: FloatArray
+    by_board: FloatArray
+    by_shared: FloatArray
+    log: IntArray
+    columns: IntArray
+    moving: IntArray
 
     def own_variances(self, noise: Noise) -> dict[int, tuple[str, float]]:
         """Traced unknown of which each image has its own → its noise level, and the variance beside the mean."""
@@ -140,29 +155,6 @@ class Images:
         """Traced unknown → (N,) likeliest value of each image beside the constant, under the noise here."""
         return {k: -variance * self.pull[:, k] for k, (_, variance) in self.own_variances(noise).items()}
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Views(Images):
-    """Images at a state, and how all unknowns move the board in them.
-
-    Attributes:
-        by_base: (N, 6, B) delta by the station's base block: by base pose, floor and stamp error.
-        by_own: (N, 6, J + 3) delta by joint errors and by the sway.
-        by_board: (N, 6, 6) delta by the pose of the recording's board.
-        by_shared: (N, 6, P) delta by the parameters that all recordings share.
-        log: (N,) the recording of each station.
-        columns: (Q - 6,) of the direct constants among these parameters.
-        moving: of all others.
-    """
-
-    by_base: FloatArray
-    by_own: FloatArray
-    by_board: FloatArray
-    by_shared: FloatArray
-    log: IntArray
-    columns: IntArray
-    moving: IntArray
-
     def onto_shared(self, A: FloatArray) -> FloatArray:
         """(N, k, Q) derivatives by (delta, direct constants) → (N, k, P) by the shared parameters."""
         out = np.empty((*A.shape[:2], self.by_shared.shape[2]))
@@ -170,7 +162,7 @@ class Views(Images):
         out[:, :, self.columns] = A[:, :, 6:]
         return out
 
-    def moved(self, step: Step) -> Views:
+    def moved(self, step: Step) -> Self:
         """The same after a step of all unknowns, to first order."""
         delta = self.by_base @ step.base[..., None] + self.by_own @ step.own[..., None]
         delta += self.by_board @ step.boards[self.log, :, None]
@@ -240,42 +232,23 @@ def _stance_twists(stance: FloatArray) -> FloatArray:
 def linearize_views(
     state: State, inliers: Inliers, noise: Noise, rates: FloatArray, group: IntArray, traced: Collection[int]
 ) -> Views:
-    """Residuals and information of all stations' images; see `images_of`."""
-    data = state.data
-    i = images_of(state, inliers, noise, rates, np.arange(data.stations), group, traced)
-    columns = np.array([column for column, _, _ in data.layout.direct], dtype=np.int64)
-    images = i.traced, i.own, i.rows, i.pull, i.cost, i.group, i.direct, i.gradient
-    moving = np.delete(np.arange(data.layout.size), columns)
-    return Views(*images, *_pose_columns(state), data.log, columns, moving)
-
-
-def images_of(
-    state: State,
-    inliers: Inliers,
-    noise: Noise,
-    rates: FloatArray,
-    stations: IntArray,
-    group: IntArray | None = None,
-    traced: Collection[int] = (),
-) -> Images:
-    """Residuals of some stations' images, or of measured poses.
+    """Residuals and information of all stations' images, or of measured poses.
 
     Args:
-        state, inliers, noise: of all stations.
+        state, inliers, noise: the point.
         rates: (C, N, 6) see `State.view_rates`.
-        stations: (n,) which.
-        group: (n,) see `Images`; each station by itself if None.
+        group: (N,) see `Views`.
         traced: further ones of (delta, direct constants) that are kept station by station.
     """
-    data = state.data
-    group = np.arange(len(stations)) if group is None else group
+    data, every = state.data, np.arange(state.data.stations)
     own = of_each_image(data)
     kept = np.array([*range(6), *own, *(column for column in traced if column not in own)])
-    Q, count = 6 + len(data.layout.direct), int(group.max(initial=-1)) + 1
-    rows, pull, cost = (np.zeros((len(stations), *shape)) for shape in ((len(kept), Q), (len(kept),), ()))
+    direct = np.array([column for column, _, _ in data.layout.direct], dtype=np.int64)
+    Q, count = 6 + len(direct), int(group.max(initial=-1)) + 1
+    rows, pull, cost = (np.zeros((len(every), *shape)) for shape in ((len(kept), Q), (len(kept),), ()))
     information, gradient = np.zeros((count, Q, Q)), np.zeros((count, Q))
-    for block in blocks_of(len(stations)):
-        for columns, A, r in whitened_rows(state, inliers, noise, rates, stations[block]):
+    for block in blocks_of(len(every)):
+        for columns, A, r in whitened_rows(state, inliers, noise, rates, every[block]):
             mine_of, at = (found[:, None] for found in np.nonzero(columns[:, None] == kept))
             of_kept = A[:, :, mine_of[:, 0]].mT
             rows[block, at, columns] += of_kept @ A
@@ -285,9 +258,25 @@ def images_of(
             information[groups[:, None, None], columns[:, None], columns] += products
             groups, products = _by_group(group[block], A, r)
             gradient[groups[:, None], columns] += products[..., 0]
-    sums = information[:, 6:, 6:], gradient[:, 6:]
-    images = Images(kept, tuple(own.values()), rows, pull, cost, group, *sums).with_own(noise)
-    return replace(images, cost=np.maximum(images.cost, _ROUNDING * cost))
+    by_base, by_own, by_board, by_shared = _pose_columns(state)
+    views = Views(
+        traced=kept,
+        own=tuple(own.values()),
+        rows=rows,
+        pull=pull,
+        cost=cost,
+        group=group,
+        direct=information[:, 6:, 6:],
+        gradient=gradient[:, 6:],
+        by_base=by_base,
+        by_own=by_own,
+        by_board=by_board,
+        by_shared=by_shared,
+        log=data.log,
+        columns=direct,
+        moving=np.delete(np.arange(data.layout.size), direct),
+    ).with_own(noise)
+    return replace(views, cost=np.maximum(views.cost, _ROUNDING * cost))
 
 
 def of_each_image(data: Dataset) -> dict[int, tuple[str, float]]:

@@ -119,7 +119,7 @@ def _as_modeled(state: State, patterns: bool) -> FloatArray:
 
 
 def images_alike(lin: Posterior) -> State:
-    """The state with each camera's corners where no image would have values of its own, see `Images.own_values`."""
+    """The state with each camera's corners where no image would have values of its own, see `Views.own_values`."""
     data, state, direct = lin.data, lin.state, [effect for _, _, effect in lin.data.layout.direct]
     if not lin.views.own:
         return state
