@@ -27,18 +27,20 @@ _FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which 
 class BlockTridiagonal:
     """A positive definite matrix of N x N blocks of size B that couples each station to the next only.
 
-    Stations are eliminated one after another: given the next one, a station has the covariance S^-1 of what is left,
-    and the mean ``x_i = S_i^-1 r_i + K_i x_j`` with ``K_i = -S_i^-1 off_i``.
+    Every second station is eliminated at once, then every second one of the others, and so on (cyclic reduction): a
+    long recording takes a few steps more than a short one. Given its neighbors, an eliminated station has the
+    covariance S^-1, and the mean ``x = S^-1 r + before x_before + after x_after``.
 
     Attributes:
-        inverse: (N, B, B) S^-1 of each station.
-        K: (N, B, B) each; zero where the next station is not coupled.
-        turns: the stations in the order of elimination: the first ones of all coupled runs, their second ones, ...
+        inverse: (n, B, B) S^-1 of each of the stations 0, 2, 4 ...
+        before, after: (n, B, B) each; zero where there is no neighbor.
+        rest: the matrix of the others that is left; None of one station.
     """
 
     inverse: FloatArray
-    K: FloatArray
-    turns: list[IntArray]
+    before: FloatArray
+    after: FloatArray
+    rest: BlockTridiagonal | None
 
     @classmethod
     def of(cls, D: FloatArray, off: FloatArray) -> Self:
@@ -51,26 +53,32 @@ class BlockTridiagonal:
         Raises:
             LinAlgError: not positive definite.
         """
-        stations = np.arange(len(D))
-        begins = np.append(True, ~off[:-1].any(axis=(1, 2)))
-        turn = stations - np.maximum.accumulate(np.where(begins, stations, 0))
-        turns = np.split(np.argsort(turn, kind="stable"), np.cumsum(np.bincount(turn))[:-1])
-        inverse, K = np.empty_like(D), np.empty_like(D)
-        for number, at in enumerate(turns):
-            left = D[at] + off[at - 1].mT @ K[at - 1] if number else D[at]
-            np.linalg.cholesky(left)
-            inverse[at] = np.linalg.inv(left)
-            K[at] = -inverse[at] @ off[at]
-        return cls(inverse, K, turns)
+        np.linalg.cholesky(D[::2])
+        inverse, others = np.asarray(np.linalg.inv(D[::2]), dtype=np.float64), len(D) // 2
+        behind, ahead = (
+            off[1:-1:2],
+            off[: 2 * others : 2],
+        )  # of eliminated stations with those before and after
+        before, after = np.zeros((2, *inverse.shape))
+        before[1:], after[:others] = -inverse[1:] @ behind.mT, -inverse[:others] @ ahead
+        if not others:
+            return cls(inverse, before, after, None)
+        left, coupled = D[1::2] + ahead.mT @ after[:others], np.zeros((others, *D.shape[1:]))
+        left[: len(behind)] += behind @ before[1:]
+        coupled[: len(behind)] = behind @ after[1:]
+        return cls(inverse, before, after, cls.of(left, coupled))
 
     def solve(self, right: FloatArray) -> FloatArray:
         """(N, B, R) right sides → (N, B, R)."""
-        x = right.copy()
-        for at in self.turns[1:]:
-            x[at] += self.K[at - 1].mT @ x[at - 1]
-        x = self.inverse @ x
-        for at in reversed(self.turns[1:]):
-            x[at - 1] += self.K[at - 1] @ x[at]
+        x, own, others = np.empty_like(right), right[::2], len(right) // 2
+        beside = np.zeros(
+            (len(own) + 1, *right.shape[1:])
+        )  # the other stations before and after the eliminated ones
+        if self.rest is not None:
+            left = right[1::2] + self.after[:others].mT @ own[:others]
+            left[: len(own) - 1] += self.before[1:].mT @ own[1:]
+            beside[1 : others + 1] = x[1::2] = self.rest.solve(left)
+        x[::2] = self.inverse @ own + self.before @ beside[:-1] + self.after @ beside[1:]
         return x
 
     def covariance(self) -> tuple[FloatArray, FloatArray]:
@@ -79,10 +87,20 @@ class BlockTridiagonal:
         Returns:
             (N, B, B) of each station, and (N, B, B) of each station with the next one (the last is zero).
         """
-        own, cross = self.inverse.copy(), np.zeros_like(self.inverse)
-        for at in reversed(self.turns[1:]):
-            cross[at - 1] = self.K[at - 1] @ own[at]
-            own[at - 1] += cross[at - 1] @ self.K[at - 1].mT
+        eliminated, B = self.inverse.shape[:2]
+        beside, mixed = np.zeros((eliminated + 1, B, B)), np.zeros((eliminated + 1, B, B))
+        others = 0
+        if self.rest is not None:
+            of_rest, between = self.rest.covariance()
+            others = len(of_rest)
+            beside[1 : others + 1], mixed[1 : others + 1] = of_rest, between
+        with_before = beside[:-1] @ self.before.mT + mixed[:-1] @ self.after.mT
+        with_after = self.before @ mixed[:-1] + self.after @ beside[1:]
+        own, cross = np.zeros((2, eliminated + others, B, B))
+        own[::2] = self.inverse + self.before @ with_before + self.after @ with_after.mT
+        own[1::2] = beside[1 : others + 1]
+        cross[::2] = with_after
+        cross[1:-1:2] = with_before[1:]
         return own, cross
 
 
