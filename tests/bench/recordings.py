@@ -15,6 +15,8 @@ from tests.bench.pictures import empty
 from tests.records import Record, records_of, written
 
 _STATIONS = 67  # three seconds each, ten stereo pairs a second: 2,000 pairs
+#: Of a drive of just more than ten minutes, which is made in five.
+TEN_MINUTES = 202
 _STAMPED = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/JointState")
 _RATE_HZ = 10.0
 _PERIOD_S, _HIDDEN_S, _PASSING_S = 12.0, 4.0, 0.5
@@ -45,7 +47,7 @@ class _Occluded(World):
 
 def simulated(folder: Path, pictures: Pictures, occluded: bool, stations: int = _STATIONS) -> Path:
     """A recording without stops in a folder, made on first use."""
-    path = folder / f"{'occluded' if occluded else 'open'}_{pictures}.mcap"
+    path = folder / f"{'occluded' if occluded else 'open'}_{pictures}_{stations}.mcap"
     if not path.exists():
         scenario = Scenario(motion="moving", stations=stations, pictures=pictures, seed=3)
         simulate(scenario, path, world_of=_Occluded if occluded else World)
@@ -59,9 +61,9 @@ def _restamped(data: bytes, time_ns: int) -> bytes:
 
 
 def stretched(source: Path, out: Path, minutes: float) -> Path:
-    """The recording repeated forwards and backwards until it has the given length.
+    """The beginning of the recording, or the recording repeated forwards and backwards, of the given length.
 
-    Backwards, all readings and images appear in opposite order, as if the robot drove back along its path.
+    Backwards, all readings and images appear in opposite order. No robot drives so: where it turns, readings disagree.
     """
     once = [record for record in records_of(source) if record.topic != "/robot_description"]
     stamped = [record for record in once if record.type in _STAMPED]
