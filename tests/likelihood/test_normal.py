@@ -15,7 +15,7 @@ from mobilecal_cli.likelihood.normal import _none_negative, eliminated
 from mobilecal_cli.likelihood.nuisance import floors_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
-from mobilecal_cli.likelihood.views import summed
+from mobilecal_cli.likelihood.views import roots, summed
 from mobilecal_cli.model import Board, Noise
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
@@ -314,15 +314,34 @@ class TestImages:
             self.same(case.lin.with_inliers(after).views, case.lin.changed(apart=True, inliers=after).views)
             assert case.lin.with_inliers(after).views.cost == pytest.approx(expected.cost)
 
-    def test_their_share_of_the_covariance(self, case):
-        """That of the whole information of all stations, by all that moves the board in them."""
-        S = np.diag(case.lin.normal.S)
-        known = {"conditional_covariance": np.diag(1 / np.maximum(S, 1.0))}
-        lin = case.lin.changed(("views", "normal"), known)
+    @pytest.fixture
+    def known(self, case):
+        """The point with a made-up information, the images station by station, and their derivatives, (N, Q, P)."""
+        S = np.maximum(np.diag(case.lin.normal.S), 1.0)
+        made_up = {"information": np.diag(S), "conditional_covariance": np.diag(1 / S)}
+        lin = case.lin.changed(("views", "normal"), made_up)
         apart = lin.changed(apart=True).views
-        at = apart.onto_shared(np.tile(np.eye(apart.rows.shape[2]), (STATIONS, 1, 1)))
-        at[:, :6] = lin.following.delta
-        expected = summed(information(apart) @ at, at)
+        by_shared = apart.onto_shared(np.tile(np.eye(apart.rows.shape[2]), (STATIONS, 1, 1)))
+        by_shared[:, :6] = lin.following.delta
+        return lin, apart, by_shared
+
+    def test_their_share_of_the_covariance(self, known):
+        """That of the whole information of all stations, by all that moves the board in them."""
+        lin, apart, by_shared = known
+        expected = summed(information(apart) @ by_shared, by_shared)
         expected = lin.conditional_covariance @ expected @ lin.conditional_covariance
         found = sum(budget._by_images(lin).values())
+        assert found == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+
+    def test_their_scatter(self, known):
+        """The jackknife by rows of the corners is that by any roots of each station's information."""
+        lin, apart, by_shared = known
+        root, inverse = roots(information(apart))
+        gradient = np.concatenate([apart.pull[:, :6], apart.gradient], axis=1)
+        covariance = by_shared @ lin.conditional_covariance @ by_shared.mT
+        covariance[:, :6, :6] += lin.marginals.known
+        left = np.eye(root.shape[1]) - root.mT @ covariance @ root
+        residual = (inverse @ gradient[..., None])[..., 0]
+        expected = budget._scatter(lin, residual, left, root.mT @ by_shared)
+        found = budget._spread_by_images(lin)
         assert found == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
