@@ -7,30 +7,41 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import TURNS_AT_REST, Sources, WheelGeometry, WheelSource
+from mobilecal_cli.model import TURNS_AT_REST, Sources, Track, WheelGeometry, WheelSource
 from mobilecal_cli.readers import open_recording
-from mobilecal_cli.readers.signals.wheels import check_forward, check_speed, rotations, turns_at_rest
+from mobilecal_cli.readers.signals.wheels import (
+    check_forward,
+    check_speed,
+    gap_notes,
+    rotations,
+    turns_at_rest,
+)
 
 from . import recordings as r
 
 WHEELS = WheelGeometry(0.1, 0.2, 0.5)
 
 
+def times(pose):
+    return np.arange(len(pose)) * r.STEP_NS
+
+
 def test_straight_on_by_hand():
     """One metre along a heading of 90 degrees: 10 rad of the wheel of 0.1 m, 5 rad of that of 0.2 m."""
     pose = np.column_stack([np.ones(5), np.linspace(1, 2, 5), np.full(5, math.pi / 2)])
-    right, left, jumps = rotations(pose, WHEELS)
+    right, left, jumps = rotations(times(pose), pose, WHEELS)
     assert (right[-1], left[-1], jumps) == (pytest.approx(10), pytest.approx(5), 0)
 
 
 def test_backwards_on_the_spot_and_round_by_hand():
     """Back by 0.1 m; 1 rad to the left on the spot; a quarter circle of radius 1 m to the left."""
-    assert rotations(np.array([[0, 0, 0], [-0.1, 0, 0]]), WHEELS)[0][-1] == pytest.approx(-1)
-    right, left, _ = rotations(np.array([[0, 0, 3.0], [0, 0, 4.0 - 2 * math.pi]]), WHEELS)
+    back, turned = np.array([[[0, 0, 0], [-0.1, 0, 0]], [[0, 0, 3.0], [0, 0, 4.0 - 2 * math.pi]]])
+    assert rotations(times(back), back, WHEELS)[0][-1] == pytest.approx(-1)
+    right, left, _ = rotations(times(turned), turned, WHEELS)
     assert (right[-1], left[-1]) == (pytest.approx(2.5), pytest.approx(-1.25))
     at = np.linspace(0, math.pi / 2, 10)
     arc = np.stack([np.sin(at), 1 - np.cos(at), at], axis=1)
-    right, left, _ = rotations(arc, WHEELS)
+    right, left, _ = rotations(times(arc), arc, WHEELS)
     assert right[-1] == pytest.approx(math.pi / 2 * 1.25 / 0.1)
     assert left[-1] == pytest.approx(math.pi / 2 * 0.75 / 0.2)
 
@@ -88,6 +99,18 @@ def test_odometry_that_jumps_follows_more_than_the_wheels(rate_hz):
     assert told.value.hint.startswith("record the odometry of the wheels alone, not one that a filter")
     with pytest.raises(RecordingError, match=r"from one message to the next, once by 0\.4\d m"):
         check_forward("/odom", time_ns[: 7 * rate_hz], (pose + 1.2 * corrections)[: 7 * rate_hz])
+
+
+@pytest.mark.parametrize("pause_s", [1.5, 3])
+def test_a_pause_is_no_jump_and_no_motion_sideways(pause_s):
+    """Pauses were refused ("jumps sideways from one message to the next"), or the wheels stood still during them."""
+    time_ns, pose = drive(50, offset_m=0.1)
+    told = time_ns % (8 * 10**9) >= pause_s * 10**9
+    assert check_forward("/odom", time_ns[told], pose[told]) == check_forward("/odom", time_ns, pose)
+    right, left, jumps = rotations(time_ns[told], pose[told], WHEELS)
+    assert jumps == 0
+    for wheel in (right, left):
+        assert "3 gaps during which the wheel turned" in gap_notes("wheel", Track(time_ns[told], wheel))[0]
 
 
 @pytest.mark.parametrize("mirrored", [[1, -1, 1], [1, 1, -1], [-1, 1, 1]])

@@ -262,21 +262,24 @@ def wraps(ticks: FloatArray) -> tuple[int | None, int | None]:
     return None, int(steps[jumps].max())
 
 
+def _pauses(time_ns: IntArray) -> BoolArray:
+    """Which intervals between readings are pauses, (n - 1,)."""
+    seconds = np.diff(time_ns) * 1e-9
+    usual_s = float(np.median(seconds)) if len(seconds) else 0.0
+    return seconds > max(GAP_S, GAP_INTERVALS * usual_s)
+
+
 def gap_notes(label: str, track: Track) -> list[str]:
     """Notes on pauses during which a wheel turned, because its path in them is unknown."""
-    if len(track.time_ns) < 3:
-        return []
-    pauses_s = np.diff(track.time_ns) * 1e-9
     turned = np.abs(np.diff(track.value))
-    limit_s = max(GAP_S, GAP_INTERVALS * float(np.median(pauses_s)))
-    gaps = np.flatnonzero((pauses_s > limit_s) & (turned > GAP_RAD))
+    gaps = np.flatnonzero(_pauses(track.time_ns) & (turned > GAP_RAD))
     if not len(gaps):
         return []
     worst = gaps[np.argmax(turned[gaps])]
-    start_s = (track.time_ns[worst] - track.time_ns[0]) * 1e-9
+    start_s, end_s = (track.time_ns[[worst, worst + 1]] - track.time_ns[0]) * 1e-9
     return [
         f"{label}: {len(gaps)} gap{'s' if len(gaps) > 1 else ''} during which the wheel turned; the worst lasts "
-        f"{pauses_s[worst]:.2f} s from {start_s:.2f} s on, with {turned[worst]:.3f} rad"
+        f"{end_s - start_s:.2f} s from {start_s:.2f} s on, with {turned[worst]:.3f} rad"
     ]
 
 
@@ -319,7 +322,7 @@ class OdometryWheel(Source):
         check_speed(samples.topic, time_ns, pose)
         notes += check_forward(samples.topic, time_ns, pose)
         notes += turns_at_rest(samples.topic, time_ns, pose)
-        right, left, jumps = rotations(pose, wheels)
+        right, left, jumps = rotations(time_ns, pose, wheels)
         if self._source.assumed:
             notes.append(
                 f"{samples.topic}: the poses of the odometry are used, its covariance is ignored; the result is the "
@@ -353,12 +356,12 @@ def check_forward(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
     Raises:
         RecordingError: it moves sideways; the message says whether its poses jump, or a sign is wrong.
     """
-    aside_m, path_m, offset_m = _sideways(pose)
+    aside_m, path_m, offset_m = _sideways(time_ns, pose)
     if _moves_sideways(aside_m, path_m):
         beside_m = np.pad(aside_m, 1)
         alone = aside_m > _ALONE * np.maximum(beside_m[:-2], beside_m[2:])
         jumps = np.flatnonzero(alone & (aside_m > _NOT_LEAST * aside_m.max()))
-        if not _moves_sideways(*_sideways(pose, jumps)[:2]):
+        if not _moves_sideways(*_sideways(time_ns, pose, jumps)[:2]):
             first = jumps[0]
             by_m, at_s = math.dist(*pose[first : first + 2, :2]), (time_ns[first + 1] - time_ns[0]) * 1e-9
             times = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
@@ -369,7 +372,7 @@ def check_forward(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
                 "reset it during the recording; if another topic has it, set wheels.odometry in rig.yaml",
             )
         what = f"{topic}: the odometry moves sideways, by {aside_m.sum():.2f} m beside {path_m:.2f} m ahead"
-        if not _moves_sideways(*_sideways(pose * [1, -1, 1])[:2]):
+        if not _moves_sideways(*_sideways(time_ns, pose * [1, -1, 1])[:2]):
             raise RecordingError(
                 f"{what}, but not with the sign of y reversed: the y axis of its positions points to the right (or "
                 "the x axis backward, or the heading counts clockwise)",
@@ -397,7 +400,7 @@ def turns_at_rest(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
     Args:
         topic, time_ns, pose: see `check_forward`.
     """
-    turn = _steps(pose)[0]
+    turn = _steps(time_ns, pose)[0]
     slow = np.abs(turn) < _SLOWLY_RADPS * np.diff(time_ns) * 1e-9
     still = slow & np.all(np.diff(pose[:, :2], axis=0) == 0, axis=1)
     ends = np.flatnonzero(np.diff(still, prepend=False, append=False)).reshape(-1, 2)
@@ -411,22 +414,25 @@ def turns_at_rest(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
     return [f"{topic}: {TURNS_AT_REST}, by {math.degrees(turned) / rest_s * 60:.2g} degrees per minute"]
 
 
-def _sideways(pose: FloatArray, jumping: IntArray | slice = slice(0)) -> tuple[FloatArray, float, float]:
+def _sideways(
+    time_ns: IntArray, pose: FloatArray, jumping: IntArray | slice = slice(0)
+) -> tuple[FloatArray, float, float]:
     """Way sideways between consecutive poses, way ahead in all, and how far the base frame is ahead of the axle, m.
 
     A base frame that is not midway between the wheels also moves sideways, but only where the base turns. Jumps count
-    as no way.
+    as no way, and so do pauses, in which the base may have driven any curve.
 
     Args:
-        pose: (n, 3) x, y, heading.
+        time_ns, pose: see `check_forward`.
         jumping: further steps that count as jumps.
 
     Returns:
         (n - 1,) not negative, and two numbers.
     """
-    *steps, jumps = _steps(pose)
-    jumps[jumping] = True
-    turn, ahead, aside = (np.where(jumps, 0.0, values) for values in steps)
+    *steps, unknown = _steps(time_ns, pose)
+    unknown |= _pauses(time_ns)
+    unknown[jumping] = True
+    turn, ahead, aside = (np.where(unknown, 0.0, values) for values in steps)
     offset_m = float(aside @ turn) / max(float(turn @ turn), 1e-12)
     return np.abs(aside - offset_m * turn), float(np.abs(ahead).sum()), offset_m
 
@@ -455,28 +461,36 @@ def check_speed(topic: str, time_ns: IntArray, pose: FloatArray) -> None:
         )
 
 
-def _steps(pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Turn, way ahead and way to the left between consecutive poses, (n - 1,) each, and which of them are jumps."""
+def _steps(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """Turn, way ahead and way to the left between consecutive poses, (n - 1,) each, and which of them are jumps.
+
+    Over a pause, no step is a jump.
+    """
     turn = np.remainder(np.diff(pose[:, 2]) + math.pi, 2 * math.pi) - math.pi
     step = np.diff(pose[:, :2], axis=0)
     middle = pose[:-1, 2] + turn / 2
     ahead = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
     left = step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle)
-    return turn, ahead, left, (np.hypot(*step.T) > _JUMP_M) | (np.abs(turn) > _JUMP_RAD)
+    far = (np.hypot(*step.T) > _JUMP_M) | (np.abs(turn) > _JUMP_RAD)
+    return turn, ahead, left, far & ~_pauses(time_ns)
 
 
-def rotations(pose: FloatArray, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray, int]:
+def rotations(
+    time_ns: IntArray, pose: FloatArray, wheels: WheelGeometry
+) -> tuple[FloatArray, FloatArray, int]:
     """Wheel rotations that move a differential drive along poses (inverse of the paper's eqs. 8-10).
 
-    Between two poses the base moves along an arc of length chord * h / sin(h), where h is half the turn.
+    Between two poses the base moves along an arc of length chord * h / sin(h), where h is half the turn. It is
+    assumed to do so over a pause, too, which `gap_notes` names.
 
     Args:
+        time_ns: (n,) stamps.
         pose: (n, 3) x, y, heading; the heading may be wrapped.
 
     Returns:
         (n,) right and left rotation starting at zero, rad, and the number of jumps.
     """
-    turn, chord, _, jumps = _steps(pose)
+    turn, chord, _, jumps = _steps(time_ns, pose)
     half = turn / 2
     small = np.abs(half) < _SMALL
     way = chord * np.where(small, 1.0, half / np.where(small, 1.0, np.sin(half)))
