@@ -292,6 +292,13 @@ def test_jumps_of_a_wheel_are_undone_and_noted(tmp_path, jumps):
     assert any(said in note for note in signals.notes)
 
 
+def test_a_driver_that_starts_again_beside_a_slip(tmp_path):
+    times, angle = turning()
+    slips = angle + 2 * (times > 5)
+    signals = joints_read(tmp_path, wheel_at(times, slips - 30 * (times > 10)))
+    np.testing.assert_allclose(signals.wheels["left"].value, slips, atol=0.02)
+
+
 def test_a_wrong_velocity_of_a_wheel_is_a_jump(tmp_path):
     times, angle = turning()
     rate = np.gradient(angle, times)

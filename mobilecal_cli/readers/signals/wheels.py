@@ -36,8 +36,8 @@ _SLACK = 1e-3  # of a turn, by which rounded positions leave it
 #: Widths at which counters start again. They jump then by at least this many times their largest other step.
 _WIDTHS, _JUMP = (8, 16, 32), 3
 _MOST_BITS = 32  # no wheel turns by half the range of such a counter; wider ones start again there, too
-#: Steps between two readings that are no motion: they are few, larger than a turn, and so many times as fast as all
-#: others. No wheel accelerates like that from one reading to the next; a driver that starts again does.
+#: Steps between two readings that are no motion: they are few, larger than a turn, and so many times as fast as nearly
+#: all others. No wheel accelerates like that from one reading to the next; a driver that starts again does.
 _JUMP_SHARE, _JUMP_SPEED = 0.01, 20.0
 _LEAST_INTERVAL_S = 0.01  # stamps of a burst of messages say nothing about the speed
 
@@ -208,19 +208,16 @@ def without_jumps(label: str, track: Track, notes: list[str]) -> Track:
     """
     step, seconds = np.diff(track.value), np.diff(track.time_ns) * 1e-9
     speed = np.abs(step) / np.maximum(seconds, _LEAST_INTERVAL_S)
-    fastest = np.sort(speed)[::-1][: int(_JUMP_SHARE * len(speed)) + 1]
-    gaps = np.flatnonzero((fastest[1:] > 0) & (fastest[:-1] > _JUMP_SPEED * fastest[1:]))
-    if not len(gaps):
-        return track
-    jumps = np.flatnonzero((speed > fastest[gaps[-1] + 1]) & (np.abs(step) > _TURN))
-    if not len(jumps):
+    fast = float(np.quantile(speed, 1 - _JUMP_SHARE, method="higher")) if len(speed) else 0.0
+    jumps = np.flatnonzero((speed > _JUMP_SPEED * fast) & (np.abs(step) > _TURN))
+    if fast == 0 or not len(jumps):
         return track
     first = jumps[0]
     at_s = (track.time_ns[first] - track.time_ns[0]) * 1e-9
     times = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
     notes.append(
         f"{label}: the rotation jumps {times} by {step[first]:.4g} rad, {at_s:.1f} s after the start, "
-        f"{speed[first] / fastest[gaps[-1] + 1]:.2g} times as fast as the wheel turns otherwise (a driver that started "
+        f"{speed[first] / fast:.2g} times as fast as the wheel turns otherwise (a driver that started "
         "again?); the mean speed before and after is used there"
     )
     step[jumps] = _at_mean_rate(step, seconds, jumps)
