@@ -1,5 +1,7 @@
 """Several wheels a side: averaged, unless one of them does not turn as the others do."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -67,6 +69,17 @@ def test_one_of_two_that_stands_still_is_left_out(which):
     found, notes = averaged([BROKEN[which], LEFT])
     np.testing.assert_allclose(found["left"].value, LEFT, atol=1e-9)
     assert "left 0: left out, it stands still in" in notes[0]
+
+
+@pytest.mark.parametrize("apart", [-12 * (SECONDS > 10.3), np.interp(SECONDS, [10, 11], [0, 12])])
+def test_a_wheel_that_differs_once_is_averaged(apart):
+    """A driver that starts again, and a slip: the recording was refused. Of three wheels, that one is left out."""
+    found, notes = averaged([LEFT, LEFT + apart])
+    np.testing.assert_allclose(found["left"].value, LEFT + apart / 2, atol=1e-9)
+    assert len(notes) == 1
+    assert re.match("left 0 and left 1 differ by more than 10 % in [12] of 5. seconds with motion", notes[0])
+    found, notes = averaged([LEFT, LEFT + apart, LEFT])
+    np.testing.assert_allclose(found["left"].value, LEFT, atol=1e-9)
 
 
 @pytest.mark.parametrize(

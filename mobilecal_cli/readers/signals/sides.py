@@ -14,7 +14,9 @@ from mobilecal_cli.model import SIDES, BoolArray, FloatArray, IntArray, Side, Tr
 _WINDOW_S, _TURNS_RAD = 1.0, 0.2
 #: Two wheels differ in a window by more than this, and by more than this share of the larger rotation ...
 _DIFFER_RAD, _DIFFER_SHARE = 0.15, 0.1
-#: ... and disagree if they do so in more than this share of the windows, or differ by this share over all of them.
+#: ... and disagree if they do so in more than this share of the windows, or differ by this share over all of them. If
+#: most wheels of a side disagree, one that slips or starts again once counts as one that agrees: the windows in which
+#: two wheels differ are left out of their rotation.
 _WINDOWS_SHARE, _TOTAL_SHARE = 0.1, 0.05
 #: A wheel that turns by less than this share of the others' rotation stands still.
 _STILL_SHARE = 0.01
@@ -22,8 +24,8 @@ _STILL_SHARE = 0.01
 _OPPOSITE_SHARE = 0.5
 
 
-def _compared(turned_rad: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """In which windows two wheels of a side differ, (K, K, W), and whether they agree over the recording, (K, K).
+def _compared(turned_rad: FloatArray) -> tuple[BoolArray, BoolArray, BoolArray]:
+    """Windows in which two wheels of a side differ, (K, K, W); which agree over all windows, over the others, (K, K).
 
     Args:
         turned_rad: (W, K) rotation of the wheels in each window with motion.
@@ -32,9 +34,14 @@ def _compared(turned_rad: FloatArray) -> tuple[BoolArray, BoolArray]:
     size = np.abs(turned)
     limit = np.maximum(_DIFFER_RAD, _DIFFER_SHARE * np.maximum(size[:, None], size))
     differ = np.abs(turned[:, None] - turned) > limit
-    path = size.sum(axis=1)
-    alike = np.minimum.outer(path, path) >= (1 - _TOTAL_SHARE) * np.maximum.outer(path, path)
-    return differ, alike & (differ.sum(axis=2) <= _WINDOWS_SHARE * len(turned_rad))
+    seldom = differ.sum(axis=2) <= _WINDOWS_SHARE * len(turned_rad)
+
+    def alike(which: BoolArray) -> BoolArray:
+        path = (which * size).sum(axis=2)  # of the second wheel of each pair
+        same = np.minimum(path, path.T) >= (1 - _TOTAL_SHARE) * np.maximum(path, path.T)
+        return np.asarray(seldom & same, dtype=np.bool_)
+
+    return differ, alike(np.ones_like(differ)), alike(~differ)
 
 
 def _stands(size: FloatArray, differ: BoolArray, opposite: BoolArray) -> bool:
@@ -99,18 +106,24 @@ def _kept(
         notes: receives what is left out.
     """
     every, size = range(len(names)), np.abs(turned_rad)
-    differ, agree = _compared(turned_rad)
+    differ, agree, mostly = _compared(turned_rad)
     stand = {
         a
         for a, b in itertools.permutations(every, 2)
         if not agree[a, b] and differ[a, b].any() and _stands(size.T[[a, b]], differ[a, b], opposite)
     }
     moving = [k for k in every if k not in stand]
-    groups = (group for count in range(len(moving), 0, -1) for group in itertools.combinations(moving, count))
-    kept = next((group for group in groups if agree[np.ix_(group, group)].all()), ())
+    majorities = [
+        group
+        for count in range(len(moving), len(moving) // 2, -1)
+        for group in itertools.combinations(moving, count)
+    ]
+    kept = next(
+        (group for alike in (agree, mostly) for group in majorities if alike[np.ix_(group, group)].all()), ()
+    )
     total, windows = size.sum(axis=0), len(turned_rad)
-    if not kept or 2 * len(kept) <= len(moving):
-        disagree = (pair for pair in itertools.combinations(moving or every, 2) if not agree[pair])
+    if not kept:
+        disagree = (pair for pair in itertools.combinations(moving or every, 2) if not mostly[pair])
         a, b = next(disagree, (0, 0))
         x, y = turned_rad[:, [a, b]].T
         opposite_ways = float(x @ y) < -0.5 * float(np.linalg.norm(x) * np.linalg.norm(y))
@@ -125,6 +138,12 @@ def _kept(
             f"{cure}, or name the wheels to read in wheels.{side}.joints or wheels.{side}.fields; the wheels "
             "of mecanum and other omnidirectional robots differ always: they are not supported",
         )
+    notes += (
+        f"{names[a]} and {names[b]} differ by more than 10 % in {int(differ[a, b].sum())} of {windows} seconds with "
+        "motion (a slip, or a driver that started again?); their mean is used there, too"
+        for a, b in itertools.combinations(kept, 2)
+        if not agree[a, b]
+    )
     usual = float(np.median(total[list(kept)]))
     for k in every:
         if k not in kept:
