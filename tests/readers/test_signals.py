@@ -147,6 +147,15 @@ def test_two_publishers_of_one_joint_are_named(tmp_path):
     assert "joint_state_publisher" in caught.value.hint
 
 
+def test_a_clock_that_steps_back_with_the_log_times_is_no_second_publisher(tmp_path):
+    t = 0.02 * np.arange(2000)
+    logged = np.where(t < 20, t, t - 5)
+    rows = [(s, at(s), NAMES, [0.1, 2 * v, 2 * v]) for v, s in zip(t, logged, strict=True)]
+    said = r"all within 5\.0 s from 15\.0 s on: the clock of the topic steps back"
+    with pytest.raises(RecordingError, match=said):
+        joints_read(tmp_path, sorted(rows))
+
+
 @pytest.mark.parametrize("share", [0.01, 0.05])
 def test_few_messages_of_a_second_publisher_are_dropped(tmp_path, share):
     """They looked like motion: the verdict was NOT ENOUGH. The tilt is near zero, but its messages are known."""

@@ -96,6 +96,8 @@ class Samples:
 _JUMP, _JUMP_SHARE, _JUMP_STEPS, _RETURNS, _TOO_FAST = 0.03, 0.05, 10.0, 20.0, 5.0
 #: Largest share of such messages among which the right readings are known, and fewest messages that are judged by it.
 _ALTERNATING_SHARE, _ALTERNATING = 0.1, 20
+#: Where a clock steps back, readings before and after it lie in one another in one stretch, at most this share of all.
+_ONE_STRETCH = 0.5
 _PUBLISHERS = "often joint_state_publisher beside the driver; `ros2 topic info -v` lists them"
 
 
@@ -138,10 +140,21 @@ def without_strays(every: Sequence[Samples], notes: list[str]) -> list[Samples]:
             continue
         before, k = strays[len(strays) // 2] + np.array([-1, 0])
         if total >= _ALTERNATING and len(strays) > _ALTERNATING_SHARE * total:
-            raise RecordingError(
+            alternate = (
                 f"{samples.label}: the readings alternate between two values, such as {value[before]:.3g} and "
                 f"{value[k]:.3g}, in {100 * len(strays) / total:.0f} % of {total} messages (limit "
-                f"{100 * _ALTERNATING_SHARE:.0f} %): two publishers share the topic",
+                f"{100 * _ALTERNATING_SHARE:.0f} %)"
+            )
+            first_s, last_s = (1e-9 * (samples.log_ns[strays[[0, -1]]] - samples.log_ns[0])).tolist()
+            if last_s - first_s < _ONE_STRETCH * 1e-9 * np.ptp(samples.log_ns):
+                raise RecordingError(
+                    f"{alternate}, all within {last_s - first_s:.1f} s from {first_s:.1f} s on: the clock of the topic "
+                    "steps back by as much there, or a second publisher runs for so long",
+                    f"keep the clock from stepping (chrony slews it), stop a second publisher ({_PUBLISHERS}), and "
+                    "record again",
+                )
+            raise RecordingError(
+                f"{alternate}: two publishers share the topic",
                 f"stop the other one ({_PUBLISHERS}), and record again",
             )
         wrong.setdefault(samples.topic, set()).update(samples.rows(strays, 0).messages)
