@@ -195,7 +195,7 @@ def _of_four(track: WheelTrack, random: np.random.Generator) -> WheelTrack:
 def _of_odometry(track: WheelTrack, driver: WheelGeometry, assumed: WheelGeometry) -> WheelTrack:
     rolled = np.stack([track.right.value, track.left.value], axis=1)
     poses = driver_odometry(rolled, driver)
-    right, left, jumps = rotations(poses, assumed)
+    right, left, jumps = rotations(track.time_ns, poses, assumed)
     assert not jumps
     return WheelTrack.at_same_times(track.time_ns, right, left)
 
