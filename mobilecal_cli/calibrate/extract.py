@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -21,12 +22,14 @@ from mobilecal_cli.calibrate.detect import (
     undecodable,
 )
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS
-from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError
+from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.export.extraction import THUMBNAILS
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
     CAMERA_INFO,
     CAMERA_INFO_CHANGES,
+    CHAIN_ENDS,
+    CHAIN_LACKS,
     IMAGES,
     JOINT_STATE,
     ODOMETRY,
@@ -44,6 +47,7 @@ from mobilecal_cli.model import (
     Track,
     WheelTrack,
 )
+from mobilecal_cli.model.text import capitalized
 from mobilecal_cli.readers import (
     Recording,
     choose_topics,
@@ -54,6 +58,7 @@ from mobilecal_cli.readers import (
     sha256_of,
 )
 from mobilecal_cli.rig.config import RigConfig
+from mobilecal_cli.rig.head import outside_chain
 from mobilecal_cli.rig.names import may_be_a_reading
 from mobilecal_cli.rig.resolve import Part, Survey, complete_rig, survey_rig
 from mobilecal_cli.rig.wheels import needs_numbers
@@ -120,6 +125,19 @@ def _with_topics(recording: Recording, survey: Survey) -> Survey:
     return survey
 
 
+def wrong_chain(survey: Survey, rig: Rig) -> Iterator[SolveError]:
+    """Joints that the head chain probably has twice, or not at all; those that the URDF shows have a note."""
+    links = Counter(link.joint for link in survey.config.head.chain or () if link.joint)
+    for name in (name for name, count in links.items() if count > 1):
+        what = f"joint {name!r} is in head.chain {links[name]} times"
+        yield SolveError(what, "delete the repeated link, unless the mechanism moves both by the same reading")
+    for name in outside_chain(rig.chain, survey.description):
+        ends = f"{rig.chain.base_frame} and {rig.chain.head_frame}"
+        cure = "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the cameras"
+        if not any(f"Joint {name} " in note and CHAIN_ENDS in note for note in survey.notes):
+            yield SolveError(f"{name!r} {CHAIN_LACKS} {ends}", cure)
+
+
 #: Relative difference of camera infos that is rounding.
 _SAME_INFO = 1e-6
 
@@ -183,7 +201,8 @@ def _extracted(
         size = board_size(recording, rig, plans)
         if size is not None and set(size) != {board.columns, board.rows}:
             raise other_size(board, size)
-    notes = (*survey.notes, *plan_notes, *recording.damage)
+    chain_notes = [f"{capitalized(each.message)}. {capitalized(each.hint)}." for each in wrong_chain(survey, rig)]
+    notes = (*survey.notes, *chain_notes, *plan_notes, *recording.damage)
     other = _other_cameras(earlier[0], name, rig) if earlier else ()
     logs = []
     for plan, detections in zip(plans, detected, strict=True):

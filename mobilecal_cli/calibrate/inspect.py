@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.calibrate.extract import describe, refuse_equal_files, size_bytes
+from mobilecal_cli.calibrate.extract import describe, refuse_equal_files, size_bytes, wrong_chain
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS
 from mobilecal_cli.calibrate.sample import sample_board
 from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError, SolveError
@@ -26,7 +25,6 @@ from mobilecal_cli.model import (
     LogSource,
     PictureIndex,
     Rig,
-    RobotDescription,
     Signals,
     TopicInfo,
     WheelTrack,
@@ -38,7 +36,6 @@ from mobilecal_cli.report.inspection import Finding, Inspection, JointRange, Mot
 from mobilecal_cli.report.motion import Gap, gaps_between
 from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, load_rig, read_urdf
-from mobilecal_cli.rig.head import outside_chain
 from mobilecal_cli.rig.resolve import complete_rig
 from mobilecal_cli.stations import PAIR_AT_REST_S, plan_stations, wheel_track
 
@@ -99,7 +96,7 @@ def inspect(
             rig = complete_rig(survey)
             notes += survey.notes
             progress("motion", 0, None)
-            findings += _wrong_chain(config, rig, survey.description)
+            findings += [Finding.of("head chain", each, prevents=False) for each in wrong_chain(survey, rig)]
             findings += _without_priors(rig, config)
             findings += _without_height(rig)
             covered = _covered(rig, times, findings)
@@ -157,20 +154,6 @@ def check(
         return inspect(logs, config, progress)
     except (ConfigError, RecordingError) as error:
         return Inspection(str(logs[0]), findings=(Finding.of(about, error),))
-
-
-def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Finding]:
-    """Joints that the head chain probably has twice, or not at all."""
-    links = Counter(link.joint for link in config.head.chain or () if link.joint)
-    for name in (name for name, count in links.items() if count > 1):
-        what = f"joint {name!r} is in head.chain {links[name]} times"
-        cure = "delete the repeated link, unless the mechanism moves both by the same reading"
-        yield Finding.of("head chain", SolveError(what, cure), prevents=False)
-    for name in outside_chain(rig.chain, description):
-        ends = f"{rig.chain.base_frame} and {rig.chain.head_frame}"
-        what = f"{name!r} was recorded, but is not a joint between {ends}"
-        cure = "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the cameras"
-        yield Finding.of("head chain", SolveError(what, cure), prevents=False)
 
 
 def _without_height(rig: Rig) -> list[Finding]:

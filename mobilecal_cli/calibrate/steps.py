@@ -24,6 +24,8 @@ from mobilecal_cli.export.outputs import check_output, write_outputs
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml, with_verdict
 from mobilecal_cli.kinematics import FEWEST_LEGS
 from mobilecal_cli.model import (
+    CHAIN_ENDS,
+    CHAIN_LACKS,
     CLOCK_STEPS,
     FEW_READINGS,
     CalibratedRobot,
@@ -223,13 +225,16 @@ def fitted(
         )
     except SolveError as error:
         gaps = motion_gaps(extraction, constraints.fixed)
-        told = () if error.explained else (FEW_READINGS, CLOCK_STEPS)
+        told = () if error.explained else (CHAIN_ENDS, CHAIN_LACKS, FEW_READINGS, CLOCK_STEPS)
         notes = [note.removesuffix(".") for note in extraction.notes if any(part in note for part in told)]
         cures = [*notes, *(gap.cure for gap in gaps)]
         if not cures:
             raise
+        hint = error.hint
+        for note in notes:
+            hint = hint.replace(f"; noted: {note}", "")
         message = "; ".join([error.message, *(gap.because for gap in gaps)])
-        raise SolveError(message, f"{'; '.join(cures)}; or {error.hint}") from error
+        raise SolveError(message, f"{'; '.join(cures)}; or {hint}") from error
     trial = None
     if rest is not None:
         nominal, offsets = extraction.rig.nominal.wheels, clock_offsets(solution)

@@ -56,6 +56,7 @@ from mobilecal_cli.model.robot_description import (
     CAMERA_INFO,
     CAMERA_INFO_CHANGES,
     CHAIN_ENDS,
+    CHAIN_LACKS,
     IMAGES,
     JOINT_STATE,
     ODOMETRY,

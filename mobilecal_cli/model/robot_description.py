@@ -17,6 +17,8 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 CAMERA_INFO_CHANGES = "the camera calibration changes"
 #: In notes on joints that move the camera beside the head chain.
 CHAIN_ENDS = "the head chain ends"
+#: In notes on recorded joints that may do so, by their names.
+CHAIN_LACKS = "was recorded, but is not a joint between"
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINT_STATE = "sensor_msgs/msg/JointState"
 ODOMETRY = "nav_msgs/msg/Odometry"

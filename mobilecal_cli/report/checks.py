@@ -18,6 +18,7 @@ from mobilecal_cli.likelihood import jumps, nuisance
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     CHAIN_ENDS,
+    CHAIN_LACKS,
     CLOCK_STEPS,
     CONTRADICTION_SIGMAS,
     FACTORS,
@@ -763,10 +764,13 @@ def noise(case: Case, *levels: Metric) -> Iterator[Check]:
 
 @criterion(Metric("head_chain"), gated=False)
 def head_chain(case: Case, metric: Metric) -> Iterator[Check]:
-    """A joint that moves the camera beside the head chain: the likeliest cause of noise beyond its limit."""
+    """A joint that moves the camera beside the head chain: the likeliest cause of noise beyond its limit.
+
+    One that its name alone shows may move something else, and is told only where there is such noise.
+    """
     noisy = any(check.outcome == "fail" for check in noise(case, *_NOISE))
     for note in case.extraction.notes:
-        if CHAIN_ENDS in note:
+        if CHAIN_ENDS in note or (noisy and CHAIN_LACKS in note):
             why, _, cure = visible(note).partition(". ")
             yield metric.check(
                 None, None, "head chain", cure,

@@ -12,7 +12,7 @@ from mobilecal_cli.calibrate.extract import _other_cameras, describe, extract
 from mobilecal_cli.calibrate.inspect import inspect
 from mobilecal_cli.commands.init import draft
 from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError
-from mobilecal_cli.model import CAMERA_INFO_CHANGES
+from mobilecal_cli.model import CAMERA_INFO_CHANGES, CHAIN_LACKS
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.rig.config import UNCONFIGURED, load_rig
 from mobilecal_cli.rig.resolve import complete_rig
@@ -86,6 +86,15 @@ def test_a_note_on_one_of_several_recordings_names_it(sample_logs, tmp_path):
     said = "joint head_tilt_joint on /joint_states: one reading only; the joint counts as standing still"
     assert f"{log}: {said}" in extraction.notes
     assert not any("nothing of this recording" in note for note in extraction.notes)
+
+
+def test_a_recorded_joint_that_the_head_chain_lacks_is_noted(sample_logs):
+    """`check` named it; `calibrate` sent its user to the floor."""
+    pan = [{"joint": "head_pan_joint", "axis": [0, 0, 1]}]
+    config = load_rig(None, {"head.base_frame": "base_link", "head.head_frame": "pan_link", "head.chain": pan})
+    extraction, _ = extract([sample_logs / "straight.mcap"], config)
+    (note,) = (note for note in extraction.notes if CHAIN_LACKS in note)
+    assert note.startswith(f"'head_tilt_joint' {CHAIN_LACKS} base_link and pan_link. Set head.head_frame to")
 
 
 def test_a_recording_of_which_nothing_is_used_is_named(sample_logs, tmp_path):

@@ -152,9 +152,11 @@ def test_few_stations_are_cured_by_what_most_were_rejected_for(stage, reason, cu
     [
         "wheels: too few readings per second (1, at least 8 needed). Publish them faster.",
         "/joint_states: the clock steps back by up to 0.030 s; 2 of 4500 samples are out of order and dropped.",
+        "'tilt' was recorded, but is not a joint between base_link and pan_link. Set head.head_frame.",
     ],
 )
-def test_a_refusal_names_readings_that_are_too_few_and_clocks_that_step(note):
+def test_a_refusal_names_what_the_recording_notes(note):
+    """Too few readings, clocks that step, and a head chain that lacks a joint."""
     whole = extraction("head_fixed")
     whole = replace(whole, rig=replace(whole.rig, nominal=Nominal()), notes=(note, "of no concern"))
     with pytest.raises(SolveError, match="the head's tilt spans") as caught:
@@ -173,3 +175,17 @@ def test_a_known_mistake_needs_no_other_cure(monkeypatch):
     with pytest.raises(SolveError) as caught:
         fitted(replace(extraction("standard"), notes=(note,)))
     assert caught.value.hint == "negate it"
+
+
+def test_a_cause_in_a_note_comes_first_and_once(monkeypatch):
+    """The tilt joint left out: "no known mistake explains it", and `check` named it."""
+    note = "'tilt' was recorded, but is not a joint between base_link and base_link. Set head.head_frame."
+    noted = replace(extraction("standard"), notes=("/wheels: log time is used", note))
+
+    def refused(*_given, **_named):
+        raise SolveError("no known mistake explains it", noted.with_notes("check the topics"))
+
+    monkeypatch.setattr("mobilecal_cli.calibrate.steps.solve_extraction", refused)
+    with pytest.raises(SolveError) as caught:
+        fitted(noted)
+    assert caught.value.hint == f"{note[:-1]}; or check the topics; noted: /wheels: log time is used"
