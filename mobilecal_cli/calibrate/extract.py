@@ -130,7 +130,9 @@ def wrong_chain(survey: Survey, rig: Rig) -> Iterator[SolveError]:
     links = Counter(link.joint for link in survey.config.head.chain or () if link.joint)
     for name in (name for name, count in links.items() if count > 1):
         what = f"joint {name!r} is in head.chain {links[name]} times"
-        yield SolveError(what, "delete the repeated link, unless the mechanism moves both by the same reading")
+        yield SolveError(
+            what, "delete the repeated link, unless the mechanism moves both by the same reading"
+        )
     for name in outside_chain(rig.chain, survey.description):
         ends = f"{rig.chain.base_frame} and {rig.chain.head_frame}"
         cure = "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the cameras"
@@ -201,7 +203,9 @@ def _extracted(
         size = board_size(recording, rig, plans)
         if size is not None and set(size) != {board.columns, board.rows}:
             raise other_size(board, size)
-    chain_notes = [f"{capitalized(each.message)}. {capitalized(each.hint)}." for each in wrong_chain(survey, rig)]
+    chain_notes = [
+        f"{capitalized(each.message)}. {capitalized(each.hint)}." for each in wrong_chain(survey, rig)
+    ]
     notes = (*survey.notes, *chain_notes, *plan_notes, *recording.damage)
     other = _other_cameras(earlier[0], name, rig) if earlier else ()
     logs = []

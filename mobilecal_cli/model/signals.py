@@ -11,6 +11,17 @@ import numpy as np
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, ReadOnly
 from mobilecal_cli.model.rig import CameraInfo, Side
 
+#: An interval between readings is a pause if it is this long and this many times the usual one; of a wheel, it is a gap if
+#: the wheel turned by more than this during it.
+_GAP_S, _GAP_INTERVALS, _GAP_RAD = 0.5, 10, 0.01
+
+
+def pauses(time_ns: IntArray) -> BoolArray:
+    """Which intervals between readings are pauses, (n - 1,)."""
+    seconds = np.diff(time_ns) * 1e-9
+    usual_s = float(np.median(seconds)) if len(seconds) else 0.0
+    return seconds > max(_GAP_S, _GAP_INTERVALS * usual_s)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track(ReadOnly):
@@ -37,6 +48,11 @@ class Track(ReadOnly):
         # Offsets from the start are small enough for exact nanoseconds in float64.
         offsets, samples = (times_ns - start).astype(np.float64), (stamps - start).astype(np.float64)
         return np.asarray(np.interp(offsets, samples, self.value[begin:end]), dtype=np.float64)
+
+    @property
+    def gaps(self) -> IntArray:
+        """Indices of the readings before a pause during which a wheel turned: its path there is unknown."""
+        return np.flatnonzero(pauses(self.time_ns) & (np.abs(np.diff(self.value)) > _GAP_RAD))
 
     def mean(self, times_ns: IntArray, width_ns: int) -> FloatArray:
         """Mean of the interpolated values over an interval of a width around some times, (n,) → (n,).

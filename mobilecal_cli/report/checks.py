@@ -942,8 +942,9 @@ def outliers(case: Case, metric: Metric) -> Iterator[Check]:
     bad, count, gross = _MOST_OUTLIERS, len(case.extraction.observations), case.solution.gross_outliers
     share = 100 * len(gross) / max(1, count)
     further = f" Further outliers: {len(gross) - 1}." if len(gross) > 1 else ""
+    unknown = "" if gross and all("Check " in outlier.text for outlier in gross) else "Find the cause. "
     yield metric.check(
-        share, bad, "outliers", "Find the cause. The result uses the remaining measurements.",
+        share, bad, "outliers", f"{unknown}The result uses the remaining measurements.",
         measured=f"{len(gross)} in {count} stations and the legs between them",
         why=f"{gross[0].text}{further}" if gross else "",
         passes=not gross,

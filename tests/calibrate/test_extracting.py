@@ -91,7 +91,9 @@ def test_a_note_on_one_of_several_recordings_names_it(sample_logs, tmp_path):
 def test_a_recorded_joint_that_the_head_chain_lacks_is_noted(sample_logs):
     """`check` named it; `calibrate` sent its user to the floor."""
     pan = [{"joint": "head_pan_joint", "axis": [0, 0, 1]}]
-    config = load_rig(None, {"head.base_frame": "base_link", "head.head_frame": "pan_link", "head.chain": pan})
+    config = load_rig(
+        None, {"head.base_frame": "base_link", "head.head_frame": "pan_link", "head.chain": pan}
+    )
     extraction, _ = extract([sample_logs / "straight.mcap"], config)
     (note,) = (note for note in extraction.notes if CHAIN_LACKS in note)
     assert note.startswith(f"'head_tilt_joint' {CHAIN_LACKS} base_link and pan_link. Set head.head_frame to")

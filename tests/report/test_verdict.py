@@ -275,7 +275,9 @@ def test_priors_that_keep_wrong_cameras_are_named(times, cameras_fixed, stated, 
     )
 
 
-@pytest.mark.parametrize("of", [f"moves the camera, but {CHAIN_ENDS} before it, at", f"{CHAIN_LACKS} base_link and"])
+@pytest.mark.parametrize(
+    "of", [f"moves the camera, but {CHAIN_ENDS} before it, at", f"{CHAIN_LACKS} base_link and"]
+)
 @pytest.mark.parametrize(("floor_deg", "level"), [(0.1, "PASS"), (4.0, "FAIL")])
 def test_a_head_chain_that_ends_before_a_joint_is_the_cause_of_noise(floor_deg, level, of):
     """The tilt joint left out: "Check that the floor is flat". Unused, such a joint does no harm, and by its name
@@ -286,7 +288,9 @@ def test_a_head_chain_that_ends_before_a_joint_is_the_cause_of_noise(floor_deg, 
     noisy = with_noise(solution, floor_rad=np.radians(floor_deg))
     verdict = judge(noisy, replace(extraction, notes=(note,)))
     assert verdict.level == level
-    assert verdict.next_step.endswith("Set head.head_frame to tilt_link.") == (level == "FAIL" or CHAIN_ENDS in of)
+    assert verdict.next_step.endswith("Set head.head_frame to tilt_link.") == (
+        level == "FAIL" or CHAIN_ENDS in of
+    )
 
 
 @pytest.mark.parametrize(("body", "warned"), [(True, True), (False, False)])

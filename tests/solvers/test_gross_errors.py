@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.model import Track, WheelTrack
+from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.initial import linear_estimate
 from tests.bench.imperfect import ROBOTS, USUAL, Case, true_robot
-from tests.extractions import slipped
+from tests.extractions import STATION_NOISE, simulated, slipped
 from tests.judging import judge
 from tests.truth import errors
 
@@ -73,6 +75,38 @@ def test_it_is_left_out(name, stations, spoil, kind, said):
     assert all(re.search(said, outlier.text) for outlier in outliers)
     assert np.max(np.abs(errors(solution.parameters, robot)) / solution.uncertainty.std) < 4
     assert judge(solution, spoilt).level == "PASS"
+
+
+def spun(extraction, lost):
+    """The right wheel turns on by a turn, evenly over leg 5; without its readings there, if they are lost."""
+    (track,), (first, second) = extraction.wheels, extraction.observations[5:7]
+    begin, end = first.time_ns, second.time_ns
+    further = 2 * np.pi * np.clip((track.time_ns - begin) / (end - begin), 0, 1)
+    kept = (track.time_ns <= begin) | (track.time_ns >= end) | (not lost)
+    right = Track(track.time_ns[kept], (track.right_rad + further)[kept])
+    return replace(extraction, wheels=(WheelTrack(right, track.left),))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (
+            lambda e: slipped(e, 5, -12.0),
+            r"A jump of -1\d(\.\d)? rad in the readings of the right wheel between ",
+        ),
+        (
+            lambda e: spun(e, True),
+            r"A gap of \d+\.\d s in the readings of the right wheel between stations 5 and 6",
+        ),
+        (lambda e: spun(e, False), "Wheel slip or moved board between stations 5 and 6"),
+    ],
+)
+def test_readings_that_jump_or_lack_are_no_slip(spoil, said):
+    """Of an encoder that restarted: "Wheel slip or moved board", by 407 mm and 170.8 degrees."""
+    extraction = spoil(simulated("standard", STATION_NOISE, tick_robot()))
+    (outlier,) = solve(extraction).gross_outliers
+    assert re.match(said, outlier.text)
+    assert ("Check the encoder" in outlier.text) == ("slip" not in said)
 
 
 def test_a_jump_by_millions_of_turns_makes_no_second_solution():

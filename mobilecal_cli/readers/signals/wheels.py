@@ -19,16 +19,12 @@ from mobilecal_cli.model import (
     WheelSource,
     listed,
 )
+from mobilecal_cli.model.signals import pauses
 from mobilecal_cli.readers.messages.types import Decoded
 from mobilecal_cli.readers.signals.joints import StatedJoint
 from mobilecal_cli.readers.signals.series import Samples
 from mobilecal_cli.readers.signals.sources import FieldSource, Source, Subscriptions
 
-#: A pause in a wheel's samples is a gap if it is this long and this many times the usual interval ...
-GAP_S = 0.5
-GAP_INTERVALS = 10
-#: ... and is noted if the wheel turned by more than this during it.
-GAP_RAD = 0.01
 #: After a longer pause, a wheel may have turned by more than half the range of its readings.
 PAUSE_S = 1.0
 _TURN = 2 * math.pi
@@ -259,19 +255,12 @@ def wraps(ticks: FloatArray) -> tuple[int | None, int | None]:
     return None, int(steps[jumps].max())
 
 
-def _pauses(time_ns: IntArray) -> BoolArray:
-    """Which intervals between readings are pauses, (n - 1,)."""
-    seconds = np.diff(time_ns) * 1e-9
-    usual_s = float(np.median(seconds)) if len(seconds) else 0.0
-    return seconds > max(GAP_S, GAP_INTERVALS * usual_s)
-
-
 def gap_notes(label: str, track: Track) -> list[str]:
     """Notes on pauses during which a wheel turned, because its path in them is unknown."""
-    turned = np.abs(np.diff(track.value))
-    gaps = np.flatnonzero(_pauses(track.time_ns) & (turned > GAP_RAD))
+    gaps = track.gaps
     if not len(gaps):
         return []
+    turned = np.abs(np.diff(track.value))
     worst = gaps[np.argmax(turned[gaps])]
     start_s, end_s = (track.time_ns[[worst, worst + 1]] - track.time_ns[0]) * 1e-9
     return [
@@ -427,7 +416,7 @@ def _sideways(
         (n - 1,) not negative, and two numbers.
     """
     *steps, unknown = _steps(time_ns, pose)
-    unknown |= _pauses(time_ns)
+    unknown |= pauses(time_ns)
     unknown[jumping] = True
     turn, ahead, aside = (np.where(unknown, 0.0, values) for values in steps)
     offset_m = float(aside @ turn) / max(float(turn @ turn), 1e-12)
@@ -469,7 +458,7 @@ def _steps(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray,
     ahead = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
     left = step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle)
     far = (np.hypot(*step.T) > _JUMP_M) | (np.abs(turn) > _JUMP_RAD)
-    return turn, ahead, left, far & ~_pauses(time_ns)
+    return turn, ahead, left, far & ~pauses(time_ns)
 
 
 def rotations(
