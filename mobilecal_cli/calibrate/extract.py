@@ -29,7 +29,6 @@ from mobilecal_cli.model import (
     CAMERA_INFO,
     CAMERA_INFO_CHANGES,
     CHAIN_ENDS,
-    CHAIN_LACKS,
     IMAGES,
     JOINT_STATE,
     ODOMETRY,
@@ -129,15 +128,18 @@ def wrong_chain(survey: Survey, rig: Rig) -> Iterator[SolveError]:
     """Joints that the head chain probably has twice, or not at all; those that the URDF shows have a note."""
     links = Counter(link.joint for link in survey.config.head.chain or () if link.joint)
     for name in (name for name, count in links.items() if count > 1):
-        what = f"joint {name!r} is in head.chain {links[name]} times"
         yield SolveError(
-            what, "delete the repeated link, unless the mechanism moves both by the same reading"
+            f"joint {name!r} is in head.chain {links[name]} times",
+            "delete the repeated link, unless the mechanism moves both by the same reading",
         )
+    ends = f"{rig.chain.base_frame} and {rig.chain.head_frame}"
     for name in outside_chain(rig.chain, survey.description):
-        ends = f"{rig.chain.base_frame} and {rig.chain.head_frame}"
-        cure = "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the cameras"
         if not any(f"Joint {name} " in note and CHAIN_ENDS in note for note in survey.notes):
-            yield SolveError(f"{name!r} {CHAIN_LACKS} {ends}", cure)
+            yield SolveError(
+                f"{name!r} was recorded, but is not a joint between {ends}",  # CHAIN_LACKS
+                "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the "
+                "cameras",
+            )
 
 
 #: Relative difference of camera infos that is rounding.
