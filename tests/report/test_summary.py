@@ -110,7 +110,7 @@ def test_suggest_as_json(result):
 def test_suggestions_go_by_the_user_s_limits(monkeypatch):
     solution, extraction = drawn()
     for name, limit in (("along_mm_per_m", "distance"), ("heading_deg_per_turn", "heading")):
-        data = Data(extraction, gates={f"predicted.{name}": 0.01})
-        monkeypatch.setattr(steps, "load", lambda *_, data=data: data)
+        config = UNCONFIGURED.model_copy(update={"gates": {f"predicted.{name}": 0.01}})
+        monkeypatch.setattr(steps, "load", lambda *_: Data(extraction))
         monkeypatch.setattr(steps, "fitted", lambda *_, **__: Fit(solution, extraction, "ml"))
-        assert re.search(f"limits? the {limit} by dead reckoning", steps.suggest([], UNCONFIGURED).limiting)
+        assert re.search(f"limits? the {limit} by dead reckoning", steps.suggest([], config).limiting)
