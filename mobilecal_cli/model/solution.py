@@ -303,6 +303,8 @@ class Solution:
         error_parts: what each kind of noise ("corners", or "poses" if these were measured, "joints", "floor",
             "wheels"), "lenses" beside their models and "turns" that differ (or a wheel that is late) contribute to both
             errors; empty where the noise levels are not estimated.
+        leg_noise: (2, L) rms error of each leg of the residuals that all noise levels together explain, px and m; None
+            where they are not estimated.
         motion: extent of the motion: "pan_range_deg", "tilt_range_deg", "turned_deg", "driven_m", ...
         uncertainty: None for methods that give none.
         outliers: measurements not used in the maximum-likelihood estimate.
@@ -328,6 +330,7 @@ class Solution:
     reprojection_rms_px: float
     motion: Mapping[str, float]
     error_parts: Mapping[str, ErrorPart] = field(default_factory=dict)
+    leg_noise: FloatArray | None = None
     uncertainty: Uncertainty | None = None
     outliers: tuple[Outlier, ...] = ()
     noisy: tuple[str, ...] = ()

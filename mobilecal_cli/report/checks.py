@@ -766,7 +766,7 @@ def noise(case: Case, *levels: Metric) -> Iterator[Check]:
 def head_chain(case: Case, metric: Metric) -> Iterator[Check]:
     """A joint that moves the camera beside the head chain: the likeliest cause of noise beyond its limit.
 
-    One that its name alone shows may move something else, and is told only where there is such noise.
+    One that its name alone shows may move something else, and counts only where there is such noise.
     """
     noisy = any(check.outcome == "fail" for check in noise(case, *_NOISE))
     for note in case.extraction.notes:
@@ -789,6 +789,24 @@ def _warning_of(case: Case) -> Outcome:
     return "fail" if case.solution.uncertainty is None else "warning"
 
 
+@criterion(Metric("outliers", "%", section="stations"), of_change=True)
+def outliers(case: Case, metric: Metric) -> Iterator[Check]:
+    """Outliers; the limit is the share that a robust estimate tolerates."""
+    if case.solution.uncertainty is None:
+        return
+    bad, count, gross = _MOST_OUTLIERS, len(case.extraction.observations), case.solution.gross_outliers
+    share = 100 * len(gross) / max(1, count)
+    further = f" Further outliers: {len(gross) - 1}." if len(gross) > 1 else ""
+    unknown = "" if gross and all("Check " in outlier.text for outlier in gross) else "Find the cause. "
+    yield metric.check(
+        share, bad, "outliers", f"{unknown}The result uses the remaining measurements.",
+        measured=f"{len(gross)} in {count} stations and the legs between them",
+        why=f"{gross[0].text}{further}" if gross else "",
+        passes=not gross,
+        beyond="fail" if share > bad else "warning",
+    )  # fmt: skip
+
+
 @criterion(
     Metric("leg_outlier.point", "mm", section="stations"),
     Metric("leg_outlier.reprojection", "px", section="stations"),
@@ -800,7 +818,9 @@ def leg_outlier(case: Case, *metrics: Metric) -> Iterator[Check]:
     largest of 1000 about 5 times. Short legs have small errors, so an outlier must also be large in absolute terms: as
     a share of the distance, in mm or in the image, beside three standard deviations of the leg's own depth noise. With
     coarse encoders, that is more than an error of one step on both wheels, with a margin for the joints. The error of
-    wheels grows with the root of the way: a leg that takes longer than the median leg may have so much more.
+    wheels grows with the root of the way: a leg that takes longer than the median leg may have so much more. Where the
+    noise levels are estimated, the error is also more than three times what they make of this leg: a turn in front of a
+    far board.
     """
     least_legs, times, bad, encoder_steps, sigmas = 5, 5.0, 0.01, 1.5, 3.0
     residuals, names = case.solution.residuals, station_names(case.extraction)
@@ -815,13 +835,16 @@ def leg_outlier(case: Case, *metrics: Metric) -> Iterator[Check]:
     stamps = np.array([o.time_ns for o in case.extraction.observations], dtype=np.int64)
     took = np.diff(stamps[residuals.legs], axis=1)[:, 0]
     longer = np.sqrt(np.maximum(took / max(float(np.median(took)), 1.0), 1.0))
-    for metric, kind, errors, scale in (
-        (metrics[0], "point", residuals.leg_point_rms_m * 1e3, distance_mm),
-        (metrics[1], "reprojection", residuals.leg_reprojection_px, focal_px),
+    known = case.solution.leg_noise
+    expected_px, expected_m = np.zeros((2, len(took))) if known is None else known
+    for metric, kind, errors, expected, scale in (
+        (metrics[0], "point", residuals.leg_point_rms_m * 1e3, expected_m * 1e3, distance_mm),
+        (metrics[1], "reprojection", residuals.leg_reprojection_px, expected_px, focal_px),
     ):
         worst, median = int(np.argmax(errors)), float(np.median(errors))
         first, second = (names[end] for end in residuals.legs[worst])
-        error, limit = float(errors[worst]), math.hypot(bad, depth_noise[worst]) * scale
+        error = float(errors[worst])
+        limit = max(math.hypot(bad, depth_noise[worst]) * scale, sigmas * float(expected[worst]))
         yield metric.check(
             error, limit, f"largest {kind} error of a leg",
             "Check for wheel slip and for a moved board between these stations, and record again.",
@@ -931,24 +954,6 @@ def methods(case: Case, metric: Metric) -> Iterator[Check]:
         at_limit="at most {:g} degrees, {:g} mm and {:g} %".format(*limits),
         why=f"The linear and the refined solution differ by {text}.",
         beyond=_warning_of(case),
-    )  # fmt: skip
-
-
-@criterion(Metric("outliers", "%", section="stations"), of_change=True)
-def outliers(case: Case, metric: Metric) -> Iterator[Check]:
-    """Outliers; the limit is the share that a robust estimate tolerates."""
-    if case.solution.uncertainty is None:
-        return
-    bad, count, gross = _MOST_OUTLIERS, len(case.extraction.observations), case.solution.gross_outliers
-    share = 100 * len(gross) / max(1, count)
-    further = f" Further outliers: {len(gross) - 1}." if len(gross) > 1 else ""
-    unknown = "" if gross and all("Check " in outlier.text for outlier in gross) else "Find the cause. "
-    yield metric.check(
-        share, bad, "outliers", f"{unknown}The result uses the remaining measurements.",
-        measured=f"{len(gross)} in {count} stations and the legs between them",
-        why=f"{gross[0].text}{further}" if gross else "",
-        passes=not gross,
-        beyond="fail" if share > bad else "warning",
     )  # fmt: skip
 
 

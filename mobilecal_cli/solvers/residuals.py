@@ -224,8 +224,10 @@ def triangulated_again(state: State, pixels: FloatArray, points: FloatArray) -> 
     return points, covariance
 
 
-def error_parts(lin: Posterior, shown: Shown, residuals: Residuals) -> dict[str, ErrorPart]:
-    """Kind of noise ("corners" or "poses", "joints", "floor", "wheels") → its error.
+def leg_squares(lin: Posterior, shown: Shown, residuals: Residuals) -> dict[str, FloatArray]:
+    """Mean square error of each leg by each kind of noise, (2, L): px^2 and m^2.
+
+    The kinds are "corners" (or "poses"), "joints", "floor" and "wheels".
 
     Images and legs are those with the estimated constants, see `at_state`.
     """
@@ -259,11 +261,15 @@ def error_parts(lin: Posterior, shown: Shown, residuals: Residuals) -> dict[str,
     values, vectors = np.linalg.eigh(_wheel_covariance(data, lin.state.parameters.wheels, residuals, noise))
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     motion = T_v_c[i][:, None, :3, :3].mT @ by_pose @ root[:, None]
-    squares = {
+    return {
         "poses" if data.posed else "corners": np.stack([corners_px, residuals.leg_corner_noise_m**2]),
         **{name: square[:, i] + square[:, j] for name, square in own.items()},
         "wheels": _mean_squares(motion, by_point[i]),
     }
+
+
+def error_parts(squares: Mapping[str, FloatArray]) -> dict[str, ErrorPart]:
+    """Kind of noise → its error over all legs, of `leg_squares`."""
     return {name: ErrorPart(*np.sqrt(np.mean(square, axis=1)).tolist()) for name, square in squares.items()}
 
 

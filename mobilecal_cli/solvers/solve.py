@@ -52,7 +52,14 @@ from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, robust_fit
 from mobilecal_cli.solvers.optimize import optimize
-from mobilecal_cli.solvers.residuals import Shown, at_state, error_parts, images_alike, residuals_of
+from mobilecal_cli.solvers.residuals import (
+    Shown,
+    at_state,
+    error_parts,
+    images_alike,
+    leg_squares,
+    residuals_of,
+)
 from mobilecal_cli.solvers.search import FITS, Search, other_wheels, turned_around
 from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, refine_lm, refine_powell
 
@@ -147,14 +154,17 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
     solution = _solution(extraction, corrected, linear, refinement, *used)
-    parts = error_parts(fit.lin, corrected, solution.residuals)
+    squares = leg_squares(fit.lin, corrected, solution.residuals)
+    parts, leg_noise = error_parts(squares), np.sqrt(sum(squares.values()))
     if any(row.kind in PATTERNS for row in data.layout.constants):
         undone = at_state(together, fit.noise, patterns=True, T_c_k=corrected.pairs.T_c_k)
         parts["lenses"] = _explained(solution, residuals_of(undone, parameters, *used), _usual_lenses(fit))
     if any(together.present(Rolling)):
         even = replace(corrected.pairs, steps=together.evened(corrected.pairs.steps))
         parts["turns"] = _explained(solution, residuals_of(replace(corrected, pairs=even), parameters, *used))
-    solution = replace(solution, outliers=outliers_of(extraction, fit), error_parts=parts)
+    solution = replace(
+        solution, outliers=outliers_of(extraction, fit), error_parts=parts, leg_noise=leg_noise
+    )
     if refusal is not None and _fits_badly(solution, extraction):
         raise refusal
     return replace(

@@ -188,6 +188,28 @@ def test_each_side_of_a_limit(solution, extraction, solved, seen, said):
         assert verdict.next_step == NO_SIGMAS
 
 
+def test_a_leg_with_an_error_that_its_own_noise_explains_is_no_outlier():
+    """A turn in front of a far board: "Check for wheel slip" of a healthy robot, and of a leg beside a real slip."""
+    solution, extraction = drawn()
+    slip = Outlier(
+        "slip", 0, (2, 3), extraction.observations[3].time_ns, "Wheel slip between stations 2 and 3."
+    )
+    for noise_m, excluded, said in (
+        (0.002, (), "is 45.0 mm"),
+        (0.02, (), ""),
+        (0.002, (slip,), "Wheel slip between"),
+    ):
+        noise = np.stack([solution.leg_noise[0], np.full(len(solution.residuals.legs), noise_m)])
+        odd = replace(
+            with_legs(solution, [0.002] * 4 + [0.045] + [0.002] * 6), leg_noise=noise, outliers=excluded
+        )
+        verdict = judge(odd, extraction)
+        assert verdict.level == "PASS"
+        first = verdict.next_step.partition("Check first: ")[2]
+        assert said in first
+        assert bool(first) == bool(said)
+
+
 def test_linear_solutions_that_do_not_fit_are_not_compared(solution, extraction):
     check = judge(linear(solution, 0.45, 0.62), extraction).check("second_solution")
     assert check.measured_text == "not compared: the linear solution has a point error of 450 mm"
