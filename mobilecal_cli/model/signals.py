@@ -11,8 +11,8 @@ import numpy as np
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, ReadOnly
 from mobilecal_cli.model.rig import CameraInfo, Side
 
-#: An interval between readings is a pause if it is this long and this many times the usual one; of a wheel, it is a gap if
-#: the wheel turned by more than this during it.
+#: An interval between readings is a pause if it is this long and this many times the usual one. A pause of a wheel is a
+#: gap if the wheel turned by more than this during it.
 _GAP_S, _GAP_INTERVALS, _GAP_RAD = 0.5, 10, 0.01
 
 
