@@ -212,11 +212,11 @@ def fitted(
     constraints = constraints or Constraints()
     extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
     require_stations(extraction)
-    if method != "ml":
-        require_observable(extraction)
     steps = itertools.count(1)
     progress("solving", 0, None)
     try:
+        if method != "ml":
+            require_observable(extraction)
         solution = solve_extraction(
             extraction,
             method,
@@ -224,7 +224,7 @@ def fitted(
             on_step=lambda: progress("solving", next(steps), None),
         )
     except SolveError as error:
-        gaps = motion_gaps(extraction, constraints.fixed)
+        gaps = motion_gaps(extraction, constraints.fixed) if method == "ml" else ()
         told = () if error.explained else (CHAIN_ENDS, CHAIN_LACKS, FEW_READINGS, CLOCK_STEPS)
         notes = [note.removesuffix(".") for note in extraction.notes if any(part in note for part in told)]
         cures = [*notes, *(gap.cure for gap in gaps)]

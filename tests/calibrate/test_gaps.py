@@ -162,6 +162,9 @@ def test_a_refusal_names_what_the_recording_notes(note):
     with pytest.raises(SolveError, match="the head's tilt spans") as caught:
         fitted(whole)
     assert caught.value.hint.startswith(f"{note[:-1]}; tilt the head")
+    with pytest.raises(SolveError, match="the head's tilt spans") as caught:
+        fitted(whole, "lm")
+    assert caught.value.hint.startswith(f"{note[:-1]}; or tilt the head")
 
 
 def test_a_known_mistake_needs_no_other_cure(monkeypatch):
