@@ -196,12 +196,16 @@ def _scores(lin: Posterior, part: _Part, stations: Sequence[int] | IntArray, las
     return _Scores(information, np.sum(along * over, axis=1), shown.sum(axis=1), value)
 
 
-def without(lin: Posterior, jump: Jump) -> Posterior:
-    """The same point with the residuals that remain after a step: exact for wheels, to first order for other parts."""
+def without(lin: Posterior, jump: Jump, large: bool = False) -> Posterior:
+    """The same point with the residuals that remain after a step, to first order; a large one of wheels exactly.
+
+    To first order, the derivatives may be those midway between the wheels before and after; a large step begins at the
+    point.
+    """
     part, after = _parts(lin)[jump.part], stations_after(lin, jump.station)
     views = lin.views.shifted(np.where(after[:, None], part.views @ jump.value, 0.0))
     moved = part.legs @ jump.value
-    if jump.part in WHEELS:
+    if large and jump.part in WHEELS:
         step = np.zeros(lin.data.layout.size)
         step[6:8][WHEELS[jump.part]] = jump.value
         moved = residuals_moved(lin.state, step, lin.processes)

@@ -378,7 +378,7 @@ class Inference:
             good = fit.lin.cost + 2 * int(corners) + 3 * int(legs)
             misfit, optimum = lin.cost - good, lin
             for _ in range(_LARGE_STEPS):
-                lin = to_first_order(jumps.without(optimum, jump))
+                lin = to_first_order(jumps.without(optimum, jump, large=True))
                 jump = jumps.again(lin, jump)
             most = _UNEXPLAINED if outliers.longest_stretch(fit) is None else _OF_STRETCH
             if lin.cost - good > most * misfit:
