@@ -19,7 +19,6 @@ from mobilecal_cli.model import (
     CONTRADICTION_SIGMAS,
     MATERIAL_SIGMAS,
     SIDES,
-    BoolArray,
     EstimatedConstant,
     Evidence,
     Extraction,
@@ -35,9 +34,6 @@ from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.outliers import longest_stretch, moved_before
 
 _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
-#: A jump is a step of a wheel's readings that is so many times as fast as all others, of so many on the leg or more;
-#: stamps of a burst of messages say nothing about the speed.
-_JUMP_SPEED, _LEAST_STEPS, _LEAST_INTERVAL_S = 5.0, 10, 0.01
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 
 
@@ -151,37 +147,16 @@ def pool_recordings(fit: Fit) -> Fit:
     return replace(fit, lin=lin, between=between, pooled_covariance=covariance)
 
 
-def _broken_readings(extraction: Extraction, fit: Fit, leg: int) -> list[str]:
-    """Gaps and jumps of the wheels' readings on a leg that is excluded: no wheel moves so in a single step.
-
-    A driver that starts again counts from zero. On a leg that the robot drives faster, many steps are fast.
-    """
-    observations = extraction.observations
-    i, j = fit.data.legs[leg].tolist()
-    log, broken = observations[i].log, []
-    excluded = [fit.data.legs[k] for k in np.flatnonzero(~fit.inliers.legs) if k != leg]
+def _gaps_on(extraction: Extraction, fit: Fit, leg: int) -> list[str]:
+    """Gaps of the wheels' readings on a leg; a driver that starts again there is mended where readings are read."""
+    start, end = (extraction.observations[k] for k in fit.data.legs[leg].tolist())
+    gaps: list[str] = []
     for side in SIDES:
-        track: Track = getattr(extraction.wheels[log], side)
-        step, seconds = np.diff(track.value), np.diff(track.time_ns) * 1e-9
-
-        def within(first: int, last: int, ends_ns: IntArray = track.time_ns) -> BoolArray:
-            begin_ns, end_ns = observations[first].time_ns, observations[last].time_ns
-            return np.asarray((ends_ns[1:] > begin_ns) & (ends_ns[:-1] < end_ns))
-
-        here = within(i, j)
-        gaps_s = [seconds[gap] for gap in track.gaps if here[gap]]
-        broken += [f"a gap of {gap_s:.1f} s in the readings of the {side} wheel" for gap_s in gaps_s]
-        if here.sum() < _LEAST_STEPS:
-            continue
-        speed = np.abs(step) / np.maximum(seconds, _LEAST_INTERVAL_S)
-        jump = int(np.argmax(np.where(here, speed, 0.0)))
-        others = (
-            np.any([within(*each) for each in excluded if observations[each[0]].log == log], axis=0) & ~here
-        )
-        others[jump] = True
-        if speed[jump] > _JUMP_SPEED * speed[~others].max(initial=0.0):
-            broken.append(f"a jump of {step[jump]:+.3g} rad in the readings of the {side} wheel")
-    return broken
+        track: Track = getattr(extraction.wheels[start.log], side)
+        for begin_ns, end_ns in zip(track.time_ns[track.gaps], track.time_ns[track.gaps + 1], strict=True):
+            if end_ns > start.time_ns and begin_ns < end.time_ns:
+                gaps.append(f"a gap of {(end_ns - begin_ns) * 1e-9:.1f} s in the readings of the {side} wheel")
+    return gaps
 
 
 def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
@@ -216,8 +191,8 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
         last = j + 1 == len(fit.data.log) or fit.data.log[j + 1] != fit.data.log[j]
         after = " A wheel whose size changes on the last leg looks the same." if last else ""
         cause = what
-        if broken := [] if extraction.motions else _broken_readings(extraction, fit, leg):
-            cause, after = capitalized(" and ".join(broken)), " Check the encoder, its cable and its driver."
+        if gaps := [] if extraction.motions else _gaps_on(extraction, fit, leg):
+            cause, after = capitalized(" and ".join(gaps)), " Check the encoder, its cable and its driver."
         text = (
             f"{cause} between stations {name(i)} and {name(j)}, {clock(j)}: wheels and {sensors} "
             f"differ by {by}. The odometry of this leg is excluded.{after}"
