@@ -155,7 +155,9 @@ def _gaps_on(extraction: Extraction, fit: Fit, leg: int) -> list[str]:
         track: Track = getattr(extraction.wheels[start.log], side)
         for begin_ns, end_ns in zip(track.time_ns[track.gaps], track.time_ns[track.gaps + 1], strict=True):
             if end_ns > start.time_ns and begin_ns < end.time_ns:
-                gaps.append(f"a gap of {(end_ns - begin_ns) * 1e-9:.1f} s in the readings of the {side} wheel")
+                gaps.append(
+                    f"a gap of {(end_ns - begin_ns) * 1e-9:.1f} s in the readings of the {side} wheel"
+                )
     return gaps
 
 
