@@ -150,15 +150,14 @@ def pool_recordings(fit: Fit) -> Fit:
 def _gaps_on(extraction: Extraction, fit: Fit, leg: int) -> list[str]:
     """Gaps of the wheels' readings on a leg; a driver that starts again there is mended where readings are read."""
     start, end = (extraction.observations[k] for k in fit.data.legs[leg].tolist())
-    gaps: list[str] = []
+    sides: dict[str, list[str]] = {}
     for side in SIDES:
         track: Track = getattr(extraction.wheels[start.log], side)
         for begin_ns, end_ns in zip(track.time_ns[track.gaps], track.time_ns[track.gaps + 1], strict=True):
             if end_ns > start.time_ns and begin_ns < end.time_ns:
-                gaps.append(
-                    f"a gap of {(end_ns - begin_ns) * 1e-9:.1f} s in the readings of the {side} wheel"
-                )
-    return gaps
+                sides.setdefault(f"a gap of {(end_ns - begin_ns) * 1e-9:.1f} s", []).append(side)
+    wheels = {gap: f"the {of[0]} wheel" if len(set(of)) == 1 else "both wheels" for gap, of in sides.items()}
+    return [f"{gap} in the readings of {of}" for gap, of in wheels.items()]
 
 
 def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
@@ -194,7 +193,10 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
         after = " A wheel whose size changes on the last leg looks the same." if last else ""
         cause = what
         if gaps := [] if extraction.motions else _gaps_on(extraction, fit, leg):
-            cause, after = capitalized(" and ".join(gaps)), " Check the encoder, its cable and its driver."
+            cause, after = (
+                capitalized(" and ".join(gaps)),
+                " Check the driver that publishes them, and its cables.",
+            )
         text = (
             f"{cause} between stations {name(i)} and {name(j)}, {clock(j)}: wheels and {sensors} "
             f"differ by {by}. The odometry of this leg is excluded.{after}"

@@ -102,7 +102,7 @@ def test_a_leg_without_readings_is_no_slip(spoil, said):
     extraction = spoil(simulated("standard", STATION_NOISE, tick_robot()))
     (outlier,) = solve(extraction).gross_outliers
     assert re.match(said, outlier.text)
-    assert ("Check the encoder" in outlier.text) == ("slip" not in said)
+    assert ("Check the driver" in outlier.text) == ("slip" not in said)
 
 
 def test_a_jump_by_millions_of_turns_makes_no_second_solution():
