@@ -15,7 +15,7 @@ from mobilecal_cli.readers import (
     sha256_of,
 )
 from mobilecal_cli.readers.containers import CONTAINERS
-from mobilecal_cli.readers.containers.blocks import Reindex
+from mobilecal_cli.readers.containers.blocks import BlockStorage
 from mobilecal_cli.readers.messages import ZSTD_MAGIC
 
 from . import recordings as r
@@ -138,7 +138,7 @@ def test_an_unpacked_copy_is_no_other_recording(tmp_path):
 
 def test_only_what_is_asked_for_is_read(tmp_path, monkeypatch):
     path = r.write_mcap(tmp_path / "log.mcap", ITEMS)
-    monkeypatch.setattr(Reindex, "run", lambda *_: pytest.fail("scanned"))
+    monkeypatch.setattr(BlockStorage, "reindex", lambda *_: pytest.fail("scanned"))
     with open_recording([path]) as recording:
         check_contents(recording)
     with open_recording([path]) as recording:

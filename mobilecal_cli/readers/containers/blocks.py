@@ -33,6 +33,8 @@ from mobilecal_cli.readers.messages.types import Payload
 _MOST_MESSAGES = 2**19
 #: Bytes of the file that may be decompressed to find log times that are not in an index.
 UNINDEXED_BYTES = 2**26
+#: Bytes read at once where there are no chunks: of messages, and to search for the next record after damage.
+_SPAN_BYTES = 2**22
 _NO_SHIFT = np.zeros(1, dtype=np.int64)
 
 
@@ -75,6 +77,8 @@ class BlockStorage(Storage):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self.blocks: list[Block] = []
+        #: While the file is reindexed, the last block, which the next message may continue.
+        self._last: Block | None = None
         self._stream = path.open("rb")
         self.size = path.stat().st_size
         try:
@@ -96,7 +100,7 @@ class BlockStorage(Storage):
 
     @abstractmethod
     def find_blocks(self) -> None:
-        """Fill channels, blocks and counts: from the index, or by `Reindex`."""
+        """Fill channels, blocks and counts: from the index, or by `reindex`."""
 
     @abstractmethod
     def record_at(self, at: int) -> tuple[int | None, Block | None]:
@@ -285,45 +289,11 @@ class BlockStorage(Storage):
             self.start_ns = min(block.start_ns for block in self.blocks)
             self.end_ns = max(block.end_ns for block in self.blocks)
 
+    def reindex(self, at: int, without_end: str) -> str:
+        """Fill blocks, channels and counts by the record headers from byte `at` on; note where the file is truncated.
 
-def _shifted(block: Block, log_ns: IntArray, shift_ns: IntArray) -> Block:
-    """A block with other log times."""
-    return replace(block, start_ns=int(log_ns.min()), end_ns=int(log_ns.max()), shift_ns=shift_ns)
-
-
-def _spread(blocks: list[Block], within_bytes: int) -> list[Block]:
-    """Blocks at even distances, at least one, whose total size is within the limit."""
-    total = sum(block.size for block in blocks)
-    if total <= within_bytes:
-        return blocks
-    count = max(1, len(blocks) * within_bytes // total)
-    return [blocks[i] for i in np.linspace(0, len(blocks) - 1, count).astype(int)]
-
-
-def _holds(block: Block, at_ns: IntArray) -> bool:
-    """Whether any of some increasing log times lies in a block."""
-    first = int(np.searchsorted(at_ns, min(block.start_ns, LATEST_NS - 1)))
-    return first < len(at_ns) and int(at_ns[first]) <= block.end_ns
-
-
-#: Bytes read at once where there are no chunks: of messages, and to search for the next record after damage.
-_SPAN_BYTES = 2**22
-
-
-class Reindex:
-    """Finds the blocks of a file without a usable index by reading record headers only.
-
-    The index records after a chunk give its channels and counts. A chunk is decompressed only if they are missing,
-    truncated, or refer to an unknown channel, whose definition is then in that chunk.
-    """
-
-    def __init__(self, storage: BlockStorage) -> None:
-        self._storage = storage
-        #: The last block, which the next message may continue.
-        self._last: Block | None = None
-
-    def run(self, at: int, without_end: str) -> str:
-        """Fill the storage's blocks, channels and counts from byte `at` on; note where the file is truncated.
+        The index records after a chunk give its channels and counts. A chunk is decompressed only if they are missing,
+        truncated, or refer to an unknown channel, whose definition is then in that chunk.
 
         Args:
             at: offset of the first record.
@@ -332,28 +302,28 @@ class Reindex:
         Returns:
             Where the file is truncated, "" if it is complete.
         """
-        storage, trouble = self._storage, without_end
-        while at + storage.SHORTEST_RECORD <= storage.size:
+        trouble = without_end
+        while at + self.SHORTEST_RECORD <= self.size:
             try:
-                end, block = storage.record_at(at)
+                end, block = self.record_at(at)
             except Exception as error:  # no complete record begins there: search for the next one
                 if self._last is not None:  # registers its channels, by which messages are recognized
-                    storage.scanned(self._last, lambda _: None)
-                head = storage.read_at(at, min(storage.LONGEST_HEAD, storage.size - at))
+                    self.scanned(self._last, lambda _: None)
+                head = self.read_at(at, min(self.LONGEST_HEAD, self.size - at))
                 if (
-                    0 in storage.likely_records(head, chunks=True)
+                    0 in self.likely_records(head, chunks=True)
                     and self._next_record(at + 1, chunks=True) is None
                 ):
                     self._close()
-                    self._last = Block(at, storage.size - at, True, LATEST_NS, 0, None)
+                    self._last = Block(at, self.size - at, True, LATEST_NS, 0, None)
                     following = None
                 else:
                     following = self._next_record(at + 1)
                 if following is None:
-                    trouble = storage.TRUNCATED.format(at=at, size=storage.size, error=error)
+                    trouble = self.TRUNCATED.format(at=at, size=self.size, error=error)
                     break
                 self._close()
-                storage.note(f"{following - at} bytes from byte {at} on are not valid records; skipped")
+                self.note(f"{following - at} bytes from byte {at} on are not valid records; skipped")
                 at = following
                 continue
             if block is not None:
@@ -364,30 +334,29 @@ class Reindex:
             at = end
         self._close(truncated=bool(trouble))
         if trouble:
-            storage.set_time_range()
-            count, seconds = storage.counts.total(), ((storage.end_ns or 0) - (storage.start_ns or 0)) * 1e-9
+            self.set_time_range()
+            count, seconds = self.counts.total(), ((self.end_ns or 0) - (self.start_ns or 0)) * 1e-9
             found = f"{count} messages ({seconds:.1f} s)" if count else "no messages"
-            storage.note(f"{trouble}; {found} were found before it, the rest is lost")
+            self.note(f"{trouble}; {found} were found before it, the rest is lost")
         return trouble
 
     def _next_record(self, at: int, *, chunks: bool = False) -> int | None:
         """Offset of the next chunk, or record of any kind, from byte `at` on; None if there is none."""
-        storage = self._storage
-        while at < storage.size:
-            window = storage.read_at(at, min(_SPAN_BYTES, storage.size - at))
-            for place in storage.likely_records(window, chunks=chunks):
+        while at < self.size:
+            window = self.read_at(at, min(_SPAN_BYTES, self.size - at))
+            for place in self.likely_records(window, chunks=chunks):
                 with suppress(Exception):  # damaged bytes may raise anything
-                    if storage.fits(at + place):
+                    if self.fits(at + place):
                         return at + place
-            if at + len(window) == storage.size:
+            if at + len(window) == self.size:
                 return None
-            at += len(window) - storage.LONGEST_HEAD
+            at += len(window) - self.LONGEST_HEAD
         return None
 
     def _add(self, block: Block) -> None:
         """Add a chunk, or a message outside chunks, which continues the block of the message directly before it."""
         last = self._last
-        self._storage.counts.update(block.channels or ())
+        self.counts.update(block.channels or ())
         if (
             last is None
             or last.channels is None
@@ -408,21 +377,41 @@ class Reindex:
 
     def _close(self, *, truncated: bool = False) -> None:
         """Complete the last block: a chunk by its index, or by its messages where the file is truncated after it."""
-        block, self._last, storage = self._last, None, self._storage
+        block, self._last = self._last, None
         if block is None:
             return
         if block.channels is None:
             damage: list[str] = []
-            times = storage.indexed(block)
-            if truncated or not times.size or not set(times[0].tolist()) <= storage.channels.keys():
-                times = storage.scanned(block, damage.append)
+            times = self.indexed(block)
+            if truncated or not times.size or not set(times[0].tolist()) <= self.channels.keys():
+                times = self.scanned(block, damage.append)
             if not times.size and (truncated or not damage):
                 return  # an empty chunk
             for sentence in damage if not truncated else ():  # what is truncated is noted as such
-                storage.note(sentence)
+                self.note(sentence)
             if times.size:
                 counts = Counter(times[0].tolist())
-                storage.counts.update(counts)
+                self.counts.update(counts)
                 start_ns, end_ns = int(times[1].min()), int(times[1].max())
                 block = replace(block, start_ns=start_ns, end_ns=end_ns, channels=frozenset(counts))
-        storage.blocks.append(block)
+        self.blocks.append(block)
+
+
+def _shifted(block: Block, log_ns: IntArray, shift_ns: IntArray) -> Block:
+    """A block with other log times."""
+    return replace(block, start_ns=int(log_ns.min()), end_ns=int(log_ns.max()), shift_ns=shift_ns)
+
+
+def _spread(blocks: list[Block], within_bytes: int) -> list[Block]:
+    """Blocks at even distances, at least one, whose total size is within the limit."""
+    total = sum(block.size for block in blocks)
+    if total <= within_bytes:
+        return blocks
+    count = max(1, len(blocks) * within_bytes // total)
+    return [blocks[i] for i in np.linspace(0, len(blocks) - 1, count).astype(int)]
+
+
+def _holds(block: Block, at_ns: IntArray) -> bool:
+    """Whether any of some increasing log times lies in a block."""
+    first = int(np.searchsorted(at_ns, min(block.start_ns, LATEST_NS - 1)))
+    return first < len(at_ns) and int(at_ns[first]) <= block.end_ns

@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.containers.blocks import Block, BlockStorage, Reindex
+from mobilecal_cli.readers.containers.blocks import Block, BlockStorage
 from mobilecal_cli.readers.containers.storage import LATEST_NS, decompress
 from mobilecal_cli.readers.messages import SIZE_LIMIT, Channel, ros2_spelling
 from mobilecal_cli.readers.messages.types import LANGUAGES, Payload
@@ -55,9 +55,7 @@ class McapStorage(BlockStorage):
     def find_blocks(self) -> None:
         """Use the summary if its index is complete, otherwise scan the file."""
         if not self._read_index():
-            Reindex(self).run(
-                len(MAGIC), "the file ends without a footer (was the recorder stopped properly?)"
-            )
+            self.reindex(len(MAGIC), "the file ends without a footer (was the recorder stopped properly?)")
 
     def _read_index(self) -> bool:
         """Use the summary; False if it lacks a channel, or most chunks are not where its index says."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.containers.blocks import Block, BlockStorage, Reindex
+from mobilecal_cli.readers.containers.blocks import Block, BlockStorage
 from mobilecal_cli.readers.containers.storage import LATEST_NS, decompress
 from mobilecal_cli.readers.messages import Channel, ros2_spelling
 from mobilecal_cli.readers.messages.types import Payload
@@ -107,7 +107,7 @@ class BagStorage(BlockStorage):
         if not (stated and self._read_index(fields, stated)):
             self.channels.clear()
             self.blocks.clear()
-            if not Reindex(self).run(first, without_end=""):
+            if not self.reindex(first, without_end=""):
                 self.note(
                     f"the bag has no usable index (was the recorder stopped properly?); a scan found "
                     f"{self.counts.total()} messages"
