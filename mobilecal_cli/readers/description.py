@@ -45,10 +45,10 @@ SEPARATE = 16
 def read_description(recording: Recording) -> RobotDescription:
     """Read the first messages of the topics that describe the robot.
 
-    Each topic is read separately and only as far as needed (one message; 50 joint states). With an index, or after
-    the scan that replaces it, blocks without the topic are skipped, so a huge file is not read to its end. An SQLite
-    file is scanned to the topic's first (50th) message. More than 16 topics of a type are read in one pass. If no topic
-    contains a URDF, transforms are sampled over the recording.
+    Each topic is read separately and only as far as needed (one message; 50 joint states). Blocks without the
+    topic are skipped, so a huge file is not read to its end. An SQLite file is scanned to the topic's first (50th)
+    message. More than 16 topics of a type are read in one pass. If no topic contains a URDF, transforms are sampled
+    over the recording.
 
     Raises:
         RecordingError: the recording is empty.

@@ -1,4 +1,8 @@
-"""Containers that consist of chunks: MCAP and ROS 1 bags, with an index or after a scan of their records."""
+"""Containers that consist of chunks: MCAP and ROS 1 bags.
+
+The blocks are found by a scan of the records' heads, in whole files as in damaged ones. A summary or an index at the
+end of a file says no more, and may be missing.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +15,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain, count, islice, repeat
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.storage import (
@@ -77,8 +82,6 @@ class BlockStorage(Storage):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self.blocks: list[Block] = []
-        #: While the file is reindexed, the last block, which the next message may continue.
-        self._last: Block | None = None
         self._stream = path.open("rb")
         self.size = path.stat().st_size
         try:
@@ -100,7 +103,7 @@ class BlockStorage(Storage):
 
     @abstractmethod
     def find_blocks(self) -> None:
-        """Fill channels, blocks and counts: from the index, or by `reindex`."""
+        """Fill channels, blocks and counts, by `scan`."""
 
     @abstractmethod
     def record_at(self, at: int) -> tuple[int | None, Block | None]:
@@ -152,8 +155,14 @@ class BlockStorage(Storage):
         return data
 
     @abstractmethod
-    def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        """Channel id, and (n, 2) log time and position of its messages, from the index records after a chunk."""
+    def index_record(self, at: int) -> tuple[int, NDArray[np.integer[Any]], int] | None:
+        """Channel id, (n, 2) log time and position of its messages in a chunk, and where the next record begins.
+
+        None if the record at byte `at` is no index of a chunk.
+
+        Raises:
+            Exception: no complete record begins there; damaged bytes may raise anything.
+        """
 
     def _blocks_of(self, topics: Collection[str], extent: Extent) -> list[Block]:
         """Blocks within the extent that may contain messages of the topics, in order of time."""
@@ -207,18 +216,32 @@ class BlockStorage(Storage):
             every.append(times)
         return every
 
+    def _index(self, block: Block) -> tuple[IntArray, int]:
+        """(2, n) channel ids and log times as stored in the index of a chunk, and where that ends.
+
+        Without one, none and the end of the block.
+        """
+        entries, end = [], block.offset + block.size
+        try:
+            while block.is_chunk and (record := self.index_record(end)) is not None:
+                number, some, end = record
+                entries.append((number, some))
+        except Exception:  # a damaged index may raise anything; the block itself is read
+            entries, end = [], block.offset + block.size
+        if not entries:
+            return np.zeros((2, 0), dtype=np.int64), end
+        channel = np.repeat([number for number, _ in entries], [len(some) for _, some in entries])
+        log_ns, place = (
+            np.minimum(np.concatenate([some for _, some in entries]), LATEST_NS).astype(np.int64).T
+        )
+        order = np.argsort(place, kind="stable")
+        return np.stack([channel[order], log_ns[order]]), end
+
     def indexed(self, block: Block) -> IntArray:
         """(2, n) channel ids and log times of a block's messages, by the index of a chunk; none without one."""
-        try:
-            entries = list(self.index_of(block)) if block.is_chunk else []
-        except Exception:  # a damaged index may raise anything; the block itself is read
-            entries = []
-        if not entries:
-            return np.zeros((2, 0), dtype=np.int64)
-        channel = np.repeat([number for number, _ in entries], [len(some) for _, some in entries])
-        log_ns, place = np.concatenate([some for _, some in entries]).T
-        order = np.argsort(place, kind="stable")
-        return np.stack([channel[order], block.shifted(log_ns[order])])
+        channel, log_ns = self._index(block)[0]
+        known = log_ns < LATEST_NS
+        return np.stack([channel[known], block.shifted(log_ns[known])])
 
     def scanned(self, block: Block, note: Callable[[str], None]) -> IntArray:
         """As `indexed`, from the messages themselves, up to the first damage, which `note` receives."""
@@ -289,7 +312,7 @@ class BlockStorage(Storage):
             self.start_ns = min(block.start_ns for block in self.blocks)
             self.end_ns = max(block.end_ns for block in self.blocks)
 
-    def reindex(self, at: int, without_end: str) -> str:
+    def scan(self, at: int, without_end: str) -> str:
         """Fill blocks, channels and counts by the record headers from byte `at` on; note where the file is truncated.
 
         The index records after a chunk give its channels and counts. A chunk is decompressed only if they are missing,
@@ -307,32 +330,27 @@ class BlockStorage(Storage):
             try:
                 end, block = self.record_at(at)
             except Exception as error:  # no complete record begins there: search for the next one
-                if self._last is not None:  # registers its channels, by which messages are recognized
-                    self.scanned(self._last, lambda _: None)
                 head = self.read_at(at, min(self.LONGEST_HEAD, self.size - at))
-                if (
-                    0 in self.likely_records(head, chunks=True)
-                    and self._next_record(at + 1, chunks=True) is None
-                ):
-                    self._close()
-                    self._last = Block(at, self.size - at, True, LATEST_NS, 0, None)
+                is_chunk = 0 in self.likely_records(head, chunks=True)
+                if is_chunk and self._next_record(at + 1, chunks=True) is None:
+                    self._add_chunk(Block(at, self.size - at, True, LATEST_NS, 0, None), truncated=True)
                     following = None
                 else:
                     following = self._next_record(at + 1)
                 if following is None:
                     trouble = self.TRUNCATED.format(at=at, size=self.size, error=error)
                     break
-                self._close()
                 self.note(f"{following - at} bytes from byte {at} on are not valid records; skipped")
                 at = following
                 continue
-            if block is not None:
-                self._add(block)
             if end is None:
                 trouble = ""
                 break
             at = end
-        self._close(truncated=bool(trouble))
+            if block is not None and block.is_chunk:
+                at = self._add_chunk(block)
+            elif block is not None:
+                self._add_message(block)
         if trouble:
             self.set_time_range()
             count, seconds = self.counts.total(), ((self.end_ns or 0) - (self.start_ns or 0)) * 1e-9
@@ -353,48 +371,39 @@ class BlockStorage(Storage):
             at += len(window) - self.LONGEST_HEAD
         return None
 
-    def _add(self, block: Block) -> None:
-        """Add a chunk, or a message outside chunks, which continues the block of the message directly before it."""
-        last = self._last
+    def _add_message(self, block: Block) -> None:
+        """Add a message outside chunks, which continues the block of the message directly before it."""
         self.counts.update(block.channels or ())
-        if (
-            last is None
-            or last.channels is None
-            or block.channels is None
-            or last.offset + last.size != block.offset
-            or last.size >= _SPAN_BYTES
-        ):
-            self._close()
-            self._last = block
+        last = self.blocks[-1] if self.blocks else block
+        if last.is_chunk or last.offset + last.size != block.offset or last.size >= _SPAN_BYTES:
+            self.blocks.append(block)
             return
-        self._last = replace(
+        self.blocks[-1] = replace(
             last,
             size=last.size + block.size,
             start_ns=min(last.start_ns, block.start_ns),
             end_ns=max(last.end_ns, block.end_ns),
-            channels=last.channels | block.channels,
+            channels=(last.channels or frozenset()) | (block.channels or frozenset()),
         )
 
-    def _close(self, *, truncated: bool = False) -> None:
-        """Complete the last block: a chunk by its index, or by its messages where the file is truncated after it."""
-        block, self._last = self._last, None
-        if block is None:
-            return
-        if block.channels is None:
-            damage: list[str] = []
-            times = self.indexed(block)
-            if truncated or not times.size or not set(times[0].tolist()) <= self.channels.keys():
-                times = self.scanned(block, damage.append)
-            if not times.size and (truncated or not damage):
-                return  # an empty chunk
-            for sentence in damage if not truncated else ():  # what is truncated is noted as such
+    def _add_chunk(self, block: Block, *, truncated: bool = False) -> int:
+        """Add a chunk, completed by its index, or else by its messages; returns where the record after it begins."""
+        damage: list[str] = []
+        times, end = self._index(block)
+        if truncated or not set(times[0].tolist()) <= self.channels.keys() or not times.size:
+            times = self.scanned(block, damage.append)
+        if not truncated:  # what is truncated is noted as such
+            for sentence in damage:
                 self.note(sentence)
-            if times.size:
-                counts = Counter(times[0].tolist())
-                self.counts.update(counts)
-                start_ns, end_ns = int(times[1].min()), int(times[1].max())
-                block = replace(block, start_ns=start_ns, end_ns=end_ns, channels=frozenset(counts))
-        self.blocks.append(block)
+        if times.size:
+            counts = Counter(times[0].tolist())
+            self.counts.update(counts)
+            known = times[1][times[1] < LATEST_NS]
+            start_ns, end_ns = int(known.min(initial=LATEST_NS)), int(known.max(initial=0))
+            block = replace(block, start_ns=start_ns, end_ns=end_ns, channels=frozenset(counts))
+        if times.size or (damage and not truncated):  # not an empty chunk
+            self.blocks.append(block)
+        return end
 
 
 def _shifted(block: Block, log_ns: IntArray, shift_ns: IntArray) -> Block:

@@ -1,4 +1,4 @@
-"""MCAP files: with an index, with part of one, without one, and truncated."""
+"""MCAP files, complete and truncated."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
@@ -13,12 +14,11 @@ import numpy as np
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
+from numpy.typing import NDArray
 
-from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.blocks import Block, BlockStorage
 from mobilecal_cli.readers.containers.storage import LATEST_NS, decompress
-from mobilecal_cli.readers.messages import SIZE_LIMIT, Channel, ros2_spelling
+from mobilecal_cli.readers.messages import Channel, ros2_spelling
 from mobilecal_cli.readers.messages.types import LANGUAGES, Payload
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -31,18 +31,15 @@ _MESSAGE_RECORD = int(Opcode.MESSAGE)
 #: First bytes of a chunk, or of a message or chunk, whose length is at most 4 GB, as those of all records are.
 _CHUNKS = re.compile(rb"\x06(?=.{4}\x00{4})", re.DOTALL)
 _KINDS = re.compile(rb"[\x05\x06](?=.{4}\x00{4})", re.DOTALL)
+#: Bytes of the footer and of what follows it.
+_FOOTER = _HEAD.size + 20 + len(MAGIC)
 #: Channels and schemas are limited to 65,535 each.
 _MOST_DEFINITIONS = 2**17
 _NO_SCHEMA = records.Schema(id=0, name="", encoding="", data=b"")
 
 
 class McapStorage(BlockStorage):
-    """One MCAP file.
-
-    A complete summary is used as the index. If it is missing or incomplete, the record headers of the file are scanned
-    once, without payloads. The message indexes after the chunks give channels and counts. Only chunks without them, or
-    with an unknown channel, are decompressed.
-    """
+    """One MCAP file."""
 
     container = "MCAP"
     SHORTEST_RECORD = LONGEST_HEAD = _HEAD.size
@@ -53,52 +50,14 @@ class McapStorage(BlockStorage):
         super().__init__(path)
 
     def find_blocks(self) -> None:
-        """Use the summary if its index is complete, otherwise scan the file."""
-        if not self._read_index():
-            self.reindex(len(MAGIC), "the file ends without a footer (was the recorder stopped properly?)")
-
-    def _read_index(self) -> bool:
-        """Use the summary; False if it lacks a channel, or most chunks are not where its index says."""
-        self._stream.seek(0)
-        try:
-            summary = SeekingReader(self._stream, record_size_limit=min(SIZE_LIMIT, self.size)).get_summary()
-        except Exception:  # damage may raise anything; the scan does not need a summary
-            return False
-        if summary is None or summary.statistics is None:
-            return False
-        chunks = summary.chunk_indexes
-        named = {number for index in chunks for number in index.message_index_offsets}
-        schemas = {channel.schema_id for channel in summary.channels.values()} - {0}
-        complete = (
-            summary.statistics.chunk_count == len(chunks)
-            and named
-            and named <= summary.channels.keys()
-            and schemas <= summary.schemas.keys()
-            # A few damaged chunk headers are found on reading.
-            and 2 * sum(map(self._is_chunk, chunks)) >= len(chunks)
-        )
-        if not complete:
-            return False
-        self._schemas.update(summary.schemas)
-        for channel in summary.channels.values():
-            self._register(channel)
-        self.counts.update(summary.statistics.channel_message_counts)
-        for index in chunks:
-            ids = frozenset(index.message_index_offsets)
-            if ids or index.message_end_time:
-                times = (index.message_start_time, index.message_end_time)
-                self.blocks.append(
-                    Block(index.chunk_start_offset, index.chunk_length, True, *times, ids or None)
-                )
-        return True
-
-    def _is_chunk(self, index: records.ChunkIndex) -> bool:
-        begin, size = index.chunk_start_offset, index.chunk_length
-        try:
-            opcode, _, end = self._head(begin)
-        except (EOFError, ValueError):
-            return False
-        return opcode == Opcode.CHUNK and end == begin + size
+        """Scan the file, with the channels in its summary, which chunks also define."""
+        with suppress(Exception):  # damage may raise anything
+            _, body, _ = self._head(self.size - _FOOTER)
+            (at,) = struct.unpack("<Q", self.read_at(body, 8))
+            while (record := self._head(at))[0] in (Opcode.SCHEMA, Opcode.CHANNEL):
+                opcode, body, at = record
+                self._define(opcode, self.read_at(body, at - body))
+        self.scan(len(MAGIC), "the file ends without a footer (was the recorder stopped properly?)")
 
     def _head(self, at: int) -> tuple[int, int, int]:
         """Kind of the record at byte `at` of the file, and begin and end of its content."""
@@ -138,17 +97,13 @@ class McapStorage(BlockStorage):
                 raise ValueError(f"a record of kind {opcode} among its messages, or too many definitions")
             at = end
 
-    def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        at = block.offset + block.size
-        while at + _HEAD.size <= self.size:
-            opcode, body, end = self._head(at)
-            if opcode != Opcode.MESSAGE_INDEX:
-                return
-            content = self.read_at(body, end - body)
-            (number,) = struct.unpack_from("<H", content)
-            entries = np.frombuffer(content, "<u8", offset=6).reshape(-1, 2)
-            yield number, entries[entries[:, 0] < LATEST_NS].astype(np.int64)
-            at = end
+    def index_record(self, at: int) -> tuple[int, NDArray[np.uint64], int] | None:
+        opcode, body, end = self._head(at)
+        if opcode != Opcode.MESSAGE_INDEX:
+            return None
+        content = self.read_at(body, end - body)
+        (number,) = struct.unpack_from("<H", content)
+        return number, np.frombuffer(content, "<u8", offset=6).reshape(-1, 2), end
 
     def _define(self, opcode: int, body: bytes) -> None:
         stream = ReadDataStream(BytesIO(body))

@@ -1,4 +1,4 @@
-"""ROS 1 bags (format 2.0): with an index, without one, and truncated.
+"""ROS 1 bags (format 2.0), complete and truncated.
 
 rosbags reads only intact bags and keeps an entry per message in memory, but a recorder that was killed leaves a bag
 without an index. The format has few kinds of records, so this module reads them itself, as blocks, in the same way
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 import struct
-from collections import Counter
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -25,7 +24,6 @@ MAGIC = b"#ROSBAG V2.0\n"
 
 _MESSAGE, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 4, 5, 6, 7
 _U32 = struct.Struct("<I")
-_U64 = struct.Struct("<Q")
 _TIME = struct.Struct("<II")
 
 _KINDS = re.compile(rb"\x04\x00\x00\x00op=[\x02\x05\x07]")
@@ -94,70 +92,27 @@ class BagStorage(BlockStorage):
     TRUNCATED = "the bag is truncated in the record at byte {at} of {size} ({error})"
 
     def find_blocks(self) -> None:
-        """Use the index if it is complete, otherwise scan the file."""
+        """Scan the file. One with chunks and without an index at its end was not closed."""
         fields, _, first = self._head(len(MAGIC))
         if fields.get(b"encryptor"):
             raise RecordingError(
                 f"{self.path}: the bag is encrypted ({fields[b'encryptor'].decode(errors='replace')})",
                 "decrypt it with rosbag decrypt first",
             )
-        stated = int.from_bytes(fields.get(b"index_pos", b"")[: _U64.size], "little")
+        stated, chunks = (
+            int.from_bytes(fields.get(name, b"")[:8], "little") for name in (b"index_pos", b"chunk_count")
+        )
         if stated > self.size:
             self.note_share(stated)
-        if not (stated and self._read_index(fields, stated)):
-            self.channels.clear()
-            self.blocks.clear()
-            if not self.reindex(first, without_end=""):
-                self.note(
-                    f"the bag has no usable index (was the recorder stopped properly?); a scan found "
-                    f"{self.counts.total()} messages"
-                )
+        if not self.scan(first, without_end="") and not 0 < stated < self.size + (not chunks):
+            self.note(
+                f"the bag has no usable index (was the recorder stopped properly?); a scan found "
+                f"{self.counts.total()} messages"
+            )
 
     def _head(self, at: int) -> tuple[Fields, int, int]:
         """Header fields of the record at byte `at` of the file, and begin and end of its data."""
         return _record(self.read_at, at)
-
-    def _read_index(self, bag: Fields, at: int) -> bool:
-        """Use the index that begins at byte `at`; False if any of it is missing or wrong."""
-        try:
-            for _ in range(_u32(bag, b"conn_count")):
-                fields, body, end = self._head(at)
-                self._define(fields, self.read_at(body, end - body))
-                at = end
-            counts, damaged = Counter[int](), list[str]()
-            for _ in range(_u32(bag, b"chunk_count")):
-                fields, body, end = self._head(at)
-                trouble = self._index_chunk(fields, self.read_at(body, end - body), counts)
-                damaged += [trouble] if trouble else []
-                at = end
-            if 2 * len(damaged) > len(damaged) + len(self.blocks):
-                return False  # the index is wrong
-        except Exception:  # a damaged index may raise anything; the scan does not need it
-            return False
-        for trouble in damaged:
-            self.note(trouble)
-        self.counts = counts
-        return True
-
-    def _index_chunk(self, fields: Fields, data: bytes, counts: Counter[int]) -> str:
-        """Process an index entry; returns what is wrong with its chunk, "" for nothing."""
-        position = int(_U64.unpack(fields[b"chunk_pos"])[0])
-        numbers = frozenset(number for number, _ in struct.iter_unpack("<II", data))
-        if not numbers <= self.channels.keys():
-            raise ValueError("the index refers to an unknown connection")
-        for number, messages in struct.iter_unpack("<II", data):
-            counts[number] += messages
-        start_ns, end_ns = _time_ns(fields, b"start_time"), _time_ns(fields, b"end_time")
-        try:
-            chunk, _, end = self._head(position)
-            whole = chunk[b"op"] == bytes([_CHUNK]) and end <= self.size
-        except Exception:  # damaged bytes may raise anything
-            whole = False
-        if not whole:
-            return f"no chunk begins at byte {position} of {self.size}, although the index lists one; skipped"
-        if numbers:
-            self.blocks.append(Block(position, end - position, True, start_ns, end_ns, numbers))
-        return ""
 
     def decompressed(self, chunk: bytes) -> bytes:
         fields, body, end = _record(_reads(chunk), 0)
@@ -177,17 +132,14 @@ class BagStorage(BlockStorage):
                 self._define(fields, bytes(content))
             at = end
 
-    def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        at = block.offset + block.size
-        while at < self.size:
-            fields, body, end = self._head(at)
-            if fields[b"op"][0] != _INDEX:
-                return
-            seconds, nanoseconds, place = (
-                np.frombuffer(self.read_at(body, end - body), "<u4").reshape(-1, 3).astype(np.int64).T
-            )
-            yield _u32(fields, b"conn"), np.stack([seconds * 10**9 + nanoseconds, place], axis=1)
-            at = end
+    def index_record(self, at: int) -> tuple[int, IntArray, int] | None:
+        fields, body, end = self._head(at)
+        if fields[b"op"][0] != _INDEX:
+            return None
+        seconds, nanoseconds, place = (
+            np.frombuffer(self.read_at(body, end - body), "<u4").reshape(-1, 3).astype(np.int64).T
+        )
+        return _u32(fields, b"conn"), np.stack([seconds * 10**9 + nanoseconds, place], axis=1), end
 
     def _define(self, fields: Fields, data: bytes) -> None:
         number = _u32(fields, b"conn")
