@@ -82,6 +82,8 @@ class BlockStorage(Storage):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self.blocks: list[Block] = []
+        #: Whether log times go back inside a block.
+        self._goes_back = False
         self._stream = path.open("rb")
         self.size = path.stat().st_size
         try:
@@ -253,8 +255,11 @@ class BlockStorage(Storage):
 
     def _undo_steps(self) -> None:
         """Let log times go on in the order of the file where the recorder's clock stepped back."""
-        self.blocks.sort(key=lambda block: block.offset)
-        times = self._times(self.blocks) if self._goes_back() else None
+        latest_ns, may_step = 0, self._goes_back
+        for block in self.blocks:
+            may_step |= block.start_ns < latest_ns - LEAST_STEP_NS
+            latest_ns = max(latest_ns, block.end_ns)
+        times = self._times(self.blocks) if may_step else None
         if times is None:
             return
         shift_ns = self.shifts_of(*np.concatenate(times, axis=1))
@@ -274,16 +279,6 @@ class BlockStorage(Storage):
             for b in self.blocks
         ]
         self.set_time_range()
-
-    def _goes_back(self) -> bool:
-        """Whether log times of a channel may go back, judged by as few indexes as possible."""
-        latest_ns = 0
-        for block in self.blocks:
-            if block.start_ns < latest_ns - LEAST_STEP_NS:
-                return True
-            latest_ns = max(latest_ns, block.end_ns)
-        long = (block for block in self.blocks if block.end_ns - block.start_ns > LEAST_STEP_NS)
-        return any(goes_back(*times) for times in self._times(long) or ())
 
     def _messages_of(self, block: Block, note: Callable[[str], None]) -> Iterator[tuple[int, int, Payload]]:
         """Messages of a block up to the first damage, which `note` receives."""
@@ -378,6 +373,7 @@ class BlockStorage(Storage):
         if last.is_chunk or last.offset + last.size != block.offset or last.size >= _SPAN_BYTES:
             self.blocks.append(block)
             return
+        self._goes_back |= block.start_ns < last.end_ns - LEAST_STEP_NS
         self.blocks[-1] = replace(
             last,
             size=last.size + block.size,
@@ -395,13 +391,13 @@ class BlockStorage(Storage):
         if not truncated:  # what is truncated is noted as such
             for sentence in damage:
                 self.note(sentence)
-        if times.size:
-            counts = Counter(times[0].tolist())
-            self.counts.update(counts)
-            known = times[1][times[1] < LATEST_NS]
-            start_ns, end_ns = int(known.min(initial=LATEST_NS)), int(known.max(initial=0))
+        counts, known = Counter(times[0].tolist()), times[:, times[1] < LATEST_NS]
+        self.counts.update(counts)
+        if counts:
+            start_ns, end_ns = int(known[1].min(initial=LATEST_NS)), int(known[1].max(initial=0))
+            self._goes_back |= end_ns - start_ns > LEAST_STEP_NS and goes_back(*known)
             block = replace(block, start_ns=start_ns, end_ns=end_ns, channels=frozenset(counts))
-        if times.size or (damage and not truncated):  # not an empty chunk
+        if counts or (damage and not truncated):  # not an empty chunk
             self.blocks.append(block)
         return end
 

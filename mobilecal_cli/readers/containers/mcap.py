@@ -66,9 +66,7 @@ class McapStorage(BlockStorage):
         return opcode, body, body + length
 
     def decompressed(self, chunk: bytes) -> bytes:
-        opcode, length = _HEAD.unpack_from(chunk)
-        if opcode != Opcode.CHUNK:
-            raise ValueError("no chunk begins there")
+        _, length = _HEAD.unpack_from(chunk)
         _, _, size, checksum = _CHUNK.unpack_from(chunk, _HEAD.size)
         name = _HEAD.size + _CHUNK.size + 4
         data = name + int.from_bytes(chunk[name - 4 : name], "little") + 8

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any, Literal, TypeAlias
 
 from rosbags.interfaces import Nodetype
+from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -104,8 +105,8 @@ class MessageType:
     """What the readers know of a message type.
 
     Attributes:
-        core: definition of a type of the ROS core, the same in every ROS 1, and in every ROS 2: one with other fields
-            is damaged.
+        core: definition of a type of the ROS core, the same in every ROS 1, and in every ROS 2: a stored one that
+            differs is damaged, and none is used.
         definition: of a type beyond the ROS core, for recordings that store none.
         read_as: ROS type that says the same; "" for the type itself.
         any_package: the same message is in several packages.
@@ -245,6 +246,7 @@ def _embedded_types(
                 types.update(get_types_from_idl(part.partition("\n")[2]))
         else:
             types = get_types_from_idl(definition)
+        types.update((name, own) for name, own in core_types(encoding).items() if name in types)
         _check_growth(types)
         store = get_typestore(Stores.EMPTY)
         store.register(types)
@@ -253,7 +255,7 @@ def _embedded_types(
         raise
     except Exception:  # a damaged definition: the common types may suffice
         return None
-    return store if agrees(store, encoding) else None
+    return store
 
 
 def _cost(definition: str) -> int:
@@ -305,19 +307,18 @@ def _check_growth(types: Mapping[str, Any]) -> None:
         size(name)
 
 
-def agrees(store: Typestore, encoding: str) -> bool:
-    """Whether the types used by the readers have their standard fields; if not, their definitions are damaged."""
-    for name in TYPES.keys() & store.fielddefs.keys():
-        core = TYPES[name].core
-        if encoding == "ros1" and name == "std_msgs/msg/Header":
-            core = f"uint32 seq\n{core}"
-        # ROS 1 names a camera's matrices D, K, R, P, ROS 2 d, k, r, p.
-        stored = [
-            (field.lower() if len(field) == 1 else field, kind) for field, kind in store.fielddefs[name][1]
-        ]
-        if core and stored != get_types_from_msg(core, name)[name][1]:
-            return False
-    return True
+@lru_cache(maxsize=2)
+def core_types(encoding: str) -> Typesdict:
+    """The types of the ROS core that the readers use, by which stored definitions of them are replaced.
+
+    In a ROS 1 camera info, the names d, k, r and p are capital letters, which changes no byte.
+    """
+    headers = {"std_msgs/msg/Header": "uint32 seq\n"} if encoding == "ros1" else {}
+    types: Typesdict = {}
+    for name, row in TYPES.items():
+        if row.core:
+            types.update(get_types_from_msg(headers.get(name, "") + row.core, name))
+    return types
 
 
 @lru_cache(maxsize=2)
