@@ -17,13 +17,13 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.kinematics import MotionSeen, integrate
+from mobilecal_cli.kinematics import MotionSeen
 from mobilecal_cli.likelihood.dataset import Dataset, Inliers
 from mobilecal_cli.likelihood.measurements import MotionPairs, heading_of, planar_pose
-from mobilecal_cli.likelihood.state import State, planar
+from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import FloatArray, LinearEstimate, Parameters, WheelGeometry
 from mobilecal_cli.solvers.linear import NO_SIZE_M, InitialPrior, Rounds, ratios_of
-from mobilecal_cli.solvers.transfer import base_motion, leg_rms_m, point_rms_m
+from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, reckoned_base
 
 PAPER_TOLERANCE = 1e-3  # section 3.5, step 6: no parameter moves by more than 0.1 %
 FIXED_POINT = 1e-13  # relative change of a parameter by rounding alone
@@ -199,47 +199,27 @@ def initial_state(data: Dataset, parameters: Parameters, inliers: Inliers) -> St
     After an outlier leg, the images of the board place the base.
     """
     pairs = data.pairs
-    motion = integrate(pairs.steps, parameters.wheels)
-    T_vi_vj, psi = base_motion(motion), motion.psi_rad
-    count = data.stations
-    T_w_v = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
-    heading = np.zeros(count)
+    base = reckoned_base(pairs, parameters.wheels)
     T_v_k = pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k
     boards = np.broadcast_to(np.eye(4), (data.logs, 4, 4)).copy()
-    known = np.zeros(data.logs, dtype=np.bool_)
-    into = {int(j): leg for leg, (_, j) in enumerate(data.legs)}
-    starts = [s for s in range(count) if s not in into or not inliers.legs[into[s]]]
-    for start, end in zip(starts, [*starts[1:], count], strict=True):
-        members = np.arange(start, end)
-        driven = [into[s] for s in range(start + 1, end)]
-        T_w_v[members], heading[members] = _dead_reckoning(motion.t_m[driven], psi[driven])
-        seeing = members[inliers.views[members]]
-        board = data.log[start]
-        if start in into and known[board] and len(seeing):
-            # T_w_v with the board where it is known to be, flattened, at this stretch's start.
-            placed = boards[board] @ se3.inverse(T_v_k[seeing]) @ se3.inverse(T_w_v[seeing])
+    known, alone = np.zeros(data.logs, dtype=np.bool_), data.first
+    alone[data.legs[~inliers.legs, 1]] = True
+    starts = np.flatnonzero(alone).tolist()
+    for start, end in zip(starts, [*starts[1:], data.stations], strict=True):
+        log, seeing = data.log[start], start + np.flatnonzero(inliers.views[start:end])
+        if len(seeing) and known[log]:  # where the board is places the first station, and all after it
+            later = slice(start, np.searchsorted(data.log, log, side="right"))
+            T_start_v = se3.inverse(planar_pose(base[start])) @ planar_pose(base[later])
+            placed = boards[log] @ se3.inverse(T_v_k[seeing]) @ se3.inverse(T_start_v[seeing - start])
             shift = _median_pose(placed)
             flat = np.array([*shift[:2, 3], heading_of(shift)])
-            T_w_v[members], heading[members] = planar_pose(flat) @ T_w_v[members], heading[members] + flat[2]
-        elif start in into:
-            leg = into[start]
-            shift = T_w_v[data.legs[leg, 0]] @ T_vi_vj[leg]
-            heading[members] += heading[data.legs[leg, 0]] + psi[leg]
-            T_w_v[members] = shift @ T_w_v[members]
-        if not known[board] and len(seeing):
-            boards[board] = _median_pose(T_w_v[seeing] @ T_v_k[seeing])
-            known[board] = True
-    for board in np.intersect1d(np.flatnonzero(~known), data.log):
-        boards[board] = _median_pose((T_w_v @ T_v_k)[data.log == board])
-    base = np.concatenate([T_w_v[:, :2, 3], heading[:, None]], axis=1)
+            base[later, 2] += flat[2] - base[start, 2]
+            base[later, :2] = (planar_pose(flat) @ T_start_v)[:, :2, 3]
+        elif len(seeing):
+            boards[log], known[log] = _median_pose(planar_pose(base[seeing]) @ T_v_k[seeing]), True
+    for log in np.intersect1d(np.flatnonzero(~known), data.log):
+        boards[log] = _median_pose((planar_pose(base) @ T_v_k)[data.log == log])
     return State.without_errors(data, parameters, boards, base)
-
-
-def _dead_reckoning(t_m: FloatArray, psi_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Poses (n + 1, 4, 4) in the first one's frame, and headings (n + 1,), along n legs one after the other."""
-    heading = np.append(0.0, np.cumsum(psi_rad))
-    xy = np.concatenate([np.zeros((1, 2)), np.cumsum(planar(heading[:-1], t_m), axis=0)])
-    return planar_pose(np.column_stack([xy, heading])), heading
 
 
 def _median_pose(T: FloatArray) -> FloatArray:

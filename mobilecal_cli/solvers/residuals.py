@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from mobilecal_cli.likelihood.corners import blocks_of, board_poses, corner_resi
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.effects import TIMES, CameraEffect
 from mobilecal_cli.likelihood.legs import leg_covariances
-from mobilecal_cli.likelihood.measurements import STAMP, MotionPairs, in_each_camera
+from mobilecal_cli.likelihood.measurements import STAMP, in_each_camera
 from mobilecal_cli.likelihood.nuisance import PATTERNS, clocks_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
@@ -39,37 +39,14 @@ _TRIANGULATION_STEPS = 8  # quadratic convergence: a displacement of ten pixels 
 _STILL_M = 1e-9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shown:
-    """What the images of N stations show, and the legs between them.
-
-    Attributes:
-        cameras: of the images.
-        pixels, seen: (N, C, M, 2) and (N, C, M) detected corners.
-        points_cov: (N, M, 3, 3) of the triangulated corners, m^2.
-        pairs: the legs, with these corners.
-    """
-
-    cameras: CameraRig
-    pixels: FloatArray
-    seen: BoolArray
-    points_cov: FloatArray
-    pairs: MotionPairs
-
-    @classmethod
-    def as_stated(cls, data: Dataset) -> Shown:
-        """With cameras, clocks and head as stated."""
-        return cls(data.cameras, data.pixels, data.seen, data.points_cov, data.pairs)
-
-
 def at_state(
     state: State,
     noise: Noise | None = None,
     patterns: bool = False,
     corners: BoolArray | None = None,
     T_c_k: FloatArray | None = None,
-) -> Shown:
-    """What the images show with a state's constants applied: cameras, time offsets, head chain and joints.
+) -> Dataset:
+    """The measurements with a state's constants applied: cameras, time offsets, head chain, joints and board poses.
 
     Args:
         state: the measurements and the constants.
@@ -86,14 +63,17 @@ def at_state(
     base = state.base.copy()
     base[:, STAMP:] = 0.0
     as_read = replace(state, base=base, own=np.zeros_like(state.own))
-    pairs = replace(
-        data.pairs,
-        points_c=points_c,
+    return replace(
+        data,
+        cameras=state.cameras,
+        chain=state.chain,
+        pixels=pixels,
         T_c_k=T_c_k,
-        T_v_h=as_read.T_v_h,
-        steps=data.steps(state.clock_s("wheels")),
+        points_c=points_c,
+        points_cov=factor**2 * covariance,
+        joints=as_read.joints,
+        driven=data.steps(state.clock_s("wheels")),
     )
-    return Shown(state.cameras, pixels, data.seen, factor**2 * covariance, pairs)
 
 
 def _as_modeled(state: State, patterns: bool) -> FloatArray:
@@ -134,21 +114,21 @@ def images_alike(lin: Posterior) -> State:
     return replace(state, data=replace(data, pixels=pixels))
 
 
-def at_constants(extraction: Extraction, parameters: Parameters, constants: Mapping[str, float]) -> Shown:
+def at_constants(extraction: Extraction, parameters: Parameters, constants: Mapping[str, float]) -> Dataset:
     """The same with parameters and constants (name → difference from the stated value) of an earlier calibration."""
     rig = extraction.rig
     every = *table(rig.cameras, rig.chain), *clocks_of(range(1, len(extraction.wheels)))
     rows = [row for row in every if constants.get(row.name)]
     data = dataset_of(extraction, rows)
     if not rows:
-        return Shown.as_stated(data)
+        return data
     boards = np.broadcast_to(np.eye(4), (data.logs, 4, 4))
     state = State.without_errors(data, parameters, boards, np.zeros((data.stations, 3)))
     return at_state(replace(state, constants={row.name: constants[row.name] for row in rows}))
 
 
 def residuals_of(
-    shown: Shown,
+    shown: Dataset,
     parameters: Parameters,
     inliers: BoolArray | None = None,
     rejected: BoolArray | None = None,
@@ -224,7 +204,7 @@ def triangulated_again(state: State, pixels: FloatArray, points: FloatArray) -> 
     return points, covariance
 
 
-def leg_squares(lin: Posterior, shown: Shown, residuals: Residuals) -> dict[str, FloatArray]:
+def leg_squares(lin: Posterior, shown: Dataset, residuals: Residuals) -> dict[str, FloatArray]:
     """Mean square error of each leg by each kind of noise, (2, L): px^2 and m^2.
 
     The kinds are "corners" (or "poses"), "joints", "floor" and "wheels".

@@ -12,7 +12,7 @@ import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
-from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
+from mobilecal_cli.likelihood.dataset import Dataset, Inliers, dataset_of
 from mobilecal_cli.likelihood.effects import Rolling
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.nuisance import PATTERNS
@@ -53,7 +53,6 @@ from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, robust_fit
 from mobilecal_cli.solvers.optimize import optimize
 from mobilecal_cli.solvers.residuals import (
-    Shown,
     at_state,
     error_parts,
     images_alike,
@@ -157,11 +156,11 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
     squares = leg_squares(fit.lin, corrected, solution.residuals)
     parts, leg_noise = error_parts(squares), np.sqrt(sum(squares.values()))
     if any(row.kind in PATTERNS for row in data.layout.constants):
-        undone = at_state(together, fit.noise, patterns=True, T_c_k=corrected.pairs.T_c_k)
+        undone = at_state(together, fit.noise, patterns=True, T_c_k=corrected.T_c_k)
         parts["lenses"] = _explained(solution, residuals_of(undone, parameters, *used), _usual_lenses(fit))
     if any(together.present(Rolling)):
-        even = replace(corrected.pairs, steps=together.evened(corrected.pairs.steps))
-        parts["turns"] = _explained(solution, residuals_of(replace(corrected, pairs=even), parameters, *used))
+        even = replace(corrected, driven=together.evened(corrected.driven))
+        parts["turns"] = _explained(solution, residuals_of(even, parameters, *used))
     solution = replace(
         solution, outliers=outliers_of(extraction, fit), error_parts=parts, leg_noise=leg_noise
     )
@@ -277,12 +276,12 @@ def _by_points(extraction: Extraction, method: Literal["linear", "paper", "lm"])
     linear = linear_estimate(pairs, extraction.rig.nominal.wheels)
     _require_positive(linear.parameters.wheels)
     refine = {"linear": None, "paper": refine_powell, "lm": refine_lm}[method]
-    return _solution(extraction, Shown.as_stated(data), linear, refine and refine(pairs, linear.parameters))
+    return _solution(extraction, data, linear, refine and refine(pairs, linear.parameters))
 
 
 def _solution(
     extraction: Extraction,
-    shown: Shown,
+    shown: Dataset,
     linear: LinearEstimate,
     refinement: Refinement | None,
     inliers: BoolArray | None = None,
@@ -291,7 +290,7 @@ def _solution(
     parameters = (refinement or linear).parameters
     residuals = residuals_of(shown, parameters, inliers, rejected)
     wheels = parameters.wheels
-    psi = integrate(shown.pairs.steps, wheels).psi_rad
+    psi = integrate(shown.driven, wheels).psi_rad
     return Solution(
         method="linear" if refinement is None else refinement.method,
         parameters=parameters,
@@ -301,7 +300,7 @@ def _solution(
         residuals=residuals,
         point_rms_m=math.sqrt(float(np.mean(residuals.leg_point_rms_m**2))),
         reprojection_rms_px=math.sqrt(float(np.mean(residuals.leg_reprojection_px**2))),
-        motion=_motion(extraction, psi, float(path_m(shown.pairs.steps, wheels).sum())),
+        motion=_motion(extraction, psi, float(path_m(shown.driven, wheels).sum())),
     )
 
 

@@ -27,13 +27,18 @@ def base_motion(motion: Arcs) -> FloatArray:
     return planar_pose(np.column_stack([motion.t_m, motion.psi_rad]))
 
 
+def reckoned_base(pairs: MotionPairs, wheels: WheelGeometry) -> FloatArray:
+    """(N, 3) x, y (m) and heading (rad, not wrapped) of the base at every station, see `dead_reckoned`."""
+    base, motion = np.zeros((len(pairs.T_v_h), 3)), integrate(pairs.steps, wheels)
+    for (i, j), (x, y), psi in zip(pairs.legs, motion.t_m, motion.psi_rad, strict=True):
+        cos, sin = np.cos(base[i, 2]), np.sin(base[i, 2])
+        base[j] = base[i] + [cos * x - sin * y, sin * x + cos * y, psi]
+    return base
+
+
 def dead_reckoned(pairs: MotionPairs, wheels: WheelGeometry) -> FloatArray:
     """T_w_v of every station, w being the base at its log's first observation: (N, 4, 4)."""
-    T_w_v = np.broadcast_to(np.eye(4), pairs.T_v_h.shape).copy()
-    T_vi_vj = base_motion(integrate(pairs.steps, wheels))
-    for (i, j), T in zip(pairs.legs, T_vi_vj, strict=True):
-        T_w_v[j] = T_w_v[i] @ T
-    return T_w_v
+    return planar_pose(reckoned_base(pairs, wheels))
 
 
 def camera_motion(pairs: MotionPairs, parameters: Parameters) -> FloatArray:

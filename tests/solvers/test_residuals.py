@@ -14,7 +14,7 @@ from mobilecal_cli.model import Extraction, Noise, Solution
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.initial import initial_state
-from mobilecal_cli.solvers.residuals import Shown, _by_point, error_parts, leg_squares
+from mobilecal_cli.solvers.residuals import _by_point, error_parts, leg_squares
 from tests import extractions
 from tests.bench import imperfect
 from tests.judging import judge
@@ -30,7 +30,7 @@ def parts_of(extraction: Extraction, solution: Solution, **levels: float):
     all_of, parameters = Inliers.all_of(data), solution.parameters
     state = initial_state(data, parameters, all_of)
     lin = Posterior.at(state, all_of, true, no_priors(data.layout, parameters))
-    return error_parts(leg_squares(lin, Shown.as_stated(data), solution.residuals))
+    return error_parts(leg_squares(lin, data, solution.residuals))
 
 
 @pytest.mark.parametrize(
