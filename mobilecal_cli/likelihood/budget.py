@@ -162,17 +162,11 @@ def _by_level(levels: Sequence[str]) -> dict[str, FloatArray]:
 def _by_images(lin: Posterior) -> dict[str, FloatArray]:
     """Noise level → (P, P) covariance of the shared parameters due to the images' noise, if it is correct."""
     C, views, T = lin.conditional_covariance, lin.views, lin.following.delta
-    G = views.rows[:, :6, :6] @ T
-    G[:, :, views.columns] += views.rows[:, :6, 6:]
-    total = summed(T, G)
-    total[views.columns] += summed(views.rows[:, :6, 6:], T)
-    total[np.ix_(views.columns, views.columns)] += views.direct.sum(axis=0)
     of_level = {level: np.zeros_like(C) for level, _ in views.own}
     for k, (level, variance) in views.own_variances(lin.noise).items():
-        by_own = (views.rows[:, k, None, :6] @ T)[:, 0]
-        by_own[:, views.columns] += views.rows[:, k, 6:]
+        by_own = views.onto_shared(views.rows[:, k : k + 1], T)[:, 0]
         of_level[level] += variance * by_own.T @ by_own
-    of_level[lin.data.images_level] = total - sum(of_level.values())
+    of_level[lin.data.images_level] = lin.of_images - sum(of_level.values())
     return {level: C @ information @ C for level, information in of_level.items()}
 
 

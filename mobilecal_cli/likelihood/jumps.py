@@ -160,7 +160,7 @@ def _scores(lin: Posterior, part: _Part, stations: Sequence[int] | IntArray, las
         np.einsum("nqm,nq->nm", V, views.pull),
         V.mT @ GV[:, views.traced],
         views.by_board.mT @ GV[:, :6],
-        views.onto_shared(GV.mT).mT,
+        views.onto_shared(GV.mT, views.by_shared).mT,
     )
     of_legs = (
         np.einsum("lam,la->lm", WD, legs.residual),

@@ -172,11 +172,11 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     E_inverse = root[:, :, None] * np.asarray(np.linalg.inv(M), dtype=np.float64) * root[:, None, :]
     e = np.einsum("nqj,nq->nj", J, views.pull[:, :6]) + lin.state.own / lin.own_sigmas**2
     E_base, E_board = across[:, :, :6] @ views.by_base, across[:, :, :6] @ views.by_board
-    E_shared = views.onto_shared(across)
+    E_shared = views.onto_shared(across, views.by_shared)
 
     both, A, of_direct = _without_own(lin, damping)
     G, gradient = both[:, :, :-1], both[:, :, -1]
-    GS, GK = views.onto_shared(G), G[:, :, :6] @ views.by_board
+    GS, GK = views.onto_shared(G, views.by_shared), G[:, :, :6] @ views.by_board
     # By the shared parameters, delta where own errors follow; its rows of the direct constants lack ``direct``.
     delta = views.by_shared.copy()
     delta[:, :, views.columns] = -A @ views.rows[:, :6, 6:]
@@ -222,7 +222,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     S[:, driven] -= summed(Y, by_driven)
     S[np.ix_(driven, driven)] += own
     S[np.ix_(views.columns, views.columns)] += direct
-    S[np.ix_(views.columns, views.moving)] = S[np.ix_(views.moving, views.columns)].T
+    S[views.columns] = S[:, views.columns].T
     S[np.diag_indices(P)] += damping * diagonal
     gain = float(np.einsum("nj,njk,nk->", e, E_inverse, e)) + float(np.sum(b * y[..., 0]))
     return NormalEquations(

@@ -17,7 +17,7 @@ from mobilecal_cli.likelihood.measurements import ERRORS
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, station_rows
 from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
 from mobilecal_cli.likelihood.state import Step
-from mobilecal_cli.likelihood.views import Views
+from mobilecal_cli.likelihood.views import summed
 from mobilecal_cli.model import NINE, FloatArray
 
 _SCATTERS = 5.0  # of what noise alone would show, in its standard deviations
@@ -75,6 +75,22 @@ class Posterior(Linearization):
         """Covariances of the predicted measurements."""
         return marginals(self)
 
+    @cached_property
+    def of_images(self) -> FloatArray:
+        """(P, P) information of the images about the shared parameters where all other unknowns follow."""
+        views, delta = self.views, self.following.delta
+        rows, columns = views.rows[:, :6], views.columns
+        total = summed(delta, views.onto_shared(rows, delta))
+        total[columns] += summed(rows[:, :, 6:], delta)
+        total[np.ix_(columns, columns)] += views.direct.sum(axis=0)
+        return total
+
+    def spread_in_images(self, A: FloatArray) -> FloatArray:
+        """(N, k, k) covariance of sums A (N, k, Q) of each station's (delta, direct constants)."""
+        by_shared = self.views.onto_shared(A, self.following.delta)
+        known = _sandwich(A[:, :, :6], self.marginals.known)
+        return known + _sandwich(by_shared, self.conditional_covariance)
+
     def predicted(self, step: Step) -> Self:
         """The likelihood after an undamped step, all to first order: residuals follow, derivatives stay."""
         known = {
@@ -119,9 +135,6 @@ class Marginals:
 
     Attributes:
         known: (N, 6, 6) of each station's board pose in the camera (delta), for known shared parameters.
-        views: (N, 6, 6) of delta.
-        mixed: (N, 6, D) of these with the direct constants.
-        direct: (D, D) of the direct constants.
         own: (N, J + 3, J + 3) of the joint errors and of the sway.
         legs: (L, 3, 3) of the legs' residuals.
         errors: (N, K, K) of the base blocks' errors.
@@ -129,9 +142,6 @@ class Marginals:
     """
 
     known: FloatArray
-    views: FloatArray
-    mixed: FloatArray
-    direct: FloatArray
     own: FloatArray
     legs: FloatArray
     errors: FloatArray
@@ -142,25 +152,6 @@ class Marginals:
         mixed = rho[:, :, None] * self.before
         out: FloatArray = self.errors - mixed - mixed.mT
         return out + rho[:, :, None] * np.roll(self.errors, 1, axis=0) * rho[:, None, :]
-
-    def leverage(self, images: Views) -> float:
-        """How much of the information of all images the unknowns take up."""
-        of_poses = np.sum(images.rows[:, :6, :6] * self.views) + np.sum(images.direct * self.direct)
-        return float(of_poses + 2 * np.sum(images.rows[:, :6, 6:] * self.mixed))
-
-    def variance_along(self, across: FloatArray) -> FloatArray:
-        """(N,) variance of a sum of each station's (delta, direct constants) with factors (N, Q)."""
-        pose, direct = across[:, :6], across[:, 6:]
-        of_pose = np.einsum("na,nab,nb->n", pose, self.views, pose)
-        mixed = np.einsum("na,nab,nb->n", pose, self.mixed, direct)
-        return np.asarray(of_pose + 2 * mixed + np.sum((direct @ self.direct) * direct, axis=1))
-
-    def of_gradient(self, images: Views) -> FloatArray:
-        """(N, 6, 6) covariance that the unknowns give the images' gradient by delta."""
-        G, across = images.rows[:, :6, :6], images.rows[:, :6, 6:]
-        mixed = G @ self.mixed @ across.mT
-        out: FloatArray = _sandwich(G, self.views) + mixed + mixed.mT
-        return out + _sandwich(across, self.direct)
 
 
 def over_redundancy(residual: FloatArray, left: FloatArray, least: float) -> FloatArray:
@@ -199,7 +190,6 @@ def marginals(lin: Posterior) -> Marginals:
     K = views.by_base @ with_board + views.by_own @ K_own + views.by_board
     of_views = _sandwich(views.by_base + views.by_own @ by_base, known) + _sandwich(K, V)
     of_views += _sandwich(views.by_own, normal.E_inverse)
-    FC = np.tensordot(derivatives.delta, C, 1)
     errors = normal.E_inverse + _sandwich(by_base, known) + _sandwich(K_own, V)
     i, j = lin.data.legs.T
     of_base = normal.base_by_shared[:, ERRORS]
@@ -210,9 +200,6 @@ def marginals(lin: Posterior) -> Marginals:
     both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
     return Marginals(
         known=of_views,
-        views=of_views + FC @ derivatives.delta.mT,
-        mixed=FC[:, :, views.columns],
-        direct=C[np.ix_(views.columns, views.columns)],
         own=errors + _sandwich(derivatives.own, C),
         legs=both + mixed + mixed.mT + _sandwich(derivatives.legs, C),
         errors=of_errors,

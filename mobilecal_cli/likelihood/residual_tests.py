@@ -49,7 +49,7 @@ class ResidualTests:
         """(N,) of each station's images as a whole, six degrees of freedom."""
         lin, views = self._lin, self._all_views
         G, g = views.rows[:, :6, :6], views.pull[:, :6]
-        return _left_out(G, g, lin.marginals.of_gradient(views), lin.inliers.views)
+        return _left_out(G, g, lin.spread_in_images(views.rows[:, :6]), lin.inliers.views)
 
     @cached_property
     def legs(self) -> FloatArray:
@@ -74,7 +74,7 @@ class ResidualTests:
         """(N, J) of each outlier station's images with one joint reading unknown, five degrees of freedom."""
         lin, views = self._lin, self._all_views
         G, g = views.rows[:, :6, :6], views.pull[:, :6]
-        predicted, freed = lin.marginals.of_gradient(views), np.empty_like(lin.data.joints)
+        predicted, freed = lin.spread_in_images(views.rows[:, :6]), np.empty_like(lin.data.joints)
         for j in range(freed.shape[1]):
             by_reading = FREE_JOINT * G @ views.by_own[..., j : j + 1]
             spread = predicted + by_reading @ by_reading.mT

@@ -49,7 +49,6 @@ class Views:
         by_shared: (N, 6, P) delta by the parameters that all recordings share.
         log: (N,) the recording of each station.
         columns: (Q - 6,) of the direct constants among these parameters.
-        moving: of all others.
     """
 
     traced: IntArray
@@ -66,7 +65,6 @@ class Views:
     by_shared: FloatArray
     log: IntArray
     columns: IntArray
-    moving: IntArray
 
     def own_variances(self, noise: Noise) -> dict[int, tuple[str, float]]:
         """Traced unknown of which each image has its own → its noise level, and the variance beside the mean."""
@@ -155,11 +153,13 @@ class Views:
         """Traced unknown → (N,) likeliest value of each image beside the constant, under the noise here."""
         return {k: -variance * self.pull[:, k] for k, (_, variance) in self.own_variances(noise).items()}
 
-    def onto_shared(self, A: FloatArray) -> FloatArray:
-        """(N, k, Q) derivatives by (delta, direct constants) → (N, k, P) by the shared parameters."""
-        out = np.empty((*A.shape[:2], self.by_shared.shape[2]))
-        out[:, :, self.moving] = A[:, :, :6] @ self.by_shared[:, :, self.moving]
-        out[:, :, self.columns] = A[:, :, 6:]
+    def onto_shared(self, A: FloatArray, delta: FloatArray) -> FloatArray:
+        """(N, k, Q) derivatives by (delta, direct constants) → (N, k, P) by the shared parameters.
+
+        `delta` is (N, 6, P), by these: `by_shared`, or where all other unknowns follow, too.
+        """
+        out: FloatArray = A[:, :, :6] @ delta
+        out[:, :, self.columns] += A[:, :, 6:]
         return out
 
     def moved(self, step: Step) -> Self:
@@ -274,7 +274,6 @@ def linearize_views(
         by_shared=by_shared,
         log=data.log,
         columns=direct,
-        moving=np.delete(np.arange(data.layout.size), direct),
     ).with_own(noise)
     return replace(views, cost=np.maximum(views.cost, _ROUNDING * cost))
 

@@ -74,12 +74,15 @@ def components(lin: Posterior) -> dict[str, Component]:
     corners = 2 * lin.inliers.used_corners.sum(axis=(1, 2))
     squares, left = views.cost, np.where(lin.inliers.views, corners + measured, 0)
     for k, (level, variance) in views.own_variances(lin.noise).items():
-        across = views.rows[:, k]
+        across = views.rows[:, k : k + 1]
         own = variance * views.pull[:, k] ** 2
-        free = variance * (across[:, views.traced[k]] - lin.marginals.variance_along(across))
+        free = variance * (across[:, 0, views.traced[k]] - lin.spread_in_images(across)[:, 0, 0])
         add(level, own, free)
         squares, left = squares - own, left - free
-    add(lin.data.images_level, squares, left.sum() - lin.marginals.leverage(views))
+    # How much of the information of all images the unknowns take up.
+    leverage = np.sum(views.rows[:, :6, :6] * lin.marginals.known)
+    leverage += np.sum(lin.of_images * lin.conditional_covariance)
+    add(lin.data.images_level, squares, left.sum() - leverage)
 
     means = max(int(_driven(lin).sum()) - 1, 0)
     for each in of_errors(lin, _within(lin)):

@@ -321,7 +321,8 @@ class TestImages:
         made_up = {"information": np.diag(S), "conditional_covariance": np.diag(1 / S)}
         lin = case.lin.changed(("views", "normal"), made_up)
         apart = lin.changed(apart=True).views
-        by_shared = apart.onto_shared(np.tile(np.eye(apart.rows.shape[2]), (STATIONS, 1, 1)))
+        every = np.tile(np.eye(apart.rows.shape[2]), (STATIONS, 1, 1))
+        by_shared = apart.onto_shared(every, apart.by_shared)
         by_shared[:, :6] = lin.following.delta
         return lin, apart, by_shared
 
