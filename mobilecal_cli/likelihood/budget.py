@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
 
 import numpy as np
 
@@ -32,7 +31,7 @@ class Influence:
         residual: (n, m) whitened residuals of each unit.
         leverage: (n, m, m) each unit's block of the hat matrix.
         parts: noise level (see `Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity.
-        derivatives: gives (n, m, P) derivatives of the residuals by the shared parameters, see `Following`.
+        by_shared: (n, m, P) derivatives of the residuals by the shared parameters, see `Following`.
         share: (n, m) of the noise level in the variance of each residual, 0 of outliers; the rest is of readings that
             are interpolated.
     """
@@ -41,13 +40,8 @@ class Influence:
     residual: FloatArray
     leverage: FloatArray
     parts: Mapping[str, FloatArray]
-    derivatives: Callable[[], FloatArray]
+    by_shared: FloatArray
     share: FloatArray | float = 1.0
-
-    @cached_property
-    def by_shared(self) -> FloatArray:
-        """(n, m, P) see `derivatives`."""
-        return self.derivatives()
 
     def shown(self, level: str) -> tuple[FloatArray, FloatArray]:
         """(m,) sums of squares of the residuals of a noise level, and (m,) how many of them are redundant."""
@@ -76,29 +70,25 @@ def _scatter(lin: Posterior, residual: FloatArray, left: FloatArray, by_shared: 
     return np.asarray(C @ (pull.T @ pull) @ C)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Moved:
-    """How all measurements move the shared parameters.
-
-    Attributes:
-        covariances: noise level → (P, P) covariance due to it, if it is correct.
-        spread: (P, P) the same of all, from the residuals' scatter, see `Influence.spread`.
-    """
-
-    covariances: Mapping[str, FloatArray]
-    spread: FloatArray
-
-
-def moved(lin: Posterior) -> Moved:
-    """Sums over images, errors of the stations, see `of_errors`, and wheels, at an optimum."""
-    spread = _spread_by_images(lin)
-    covariances = defaultdict[str, FloatArray](lambda: np.zeros_like(spread))
-    covariances.update(_by_images(lin))
-    for influence in (*of_errors(lin, lin.state.base[:, ERRORS]), of_legs(lin)):
+def covariances(lin: Posterior) -> Mapping[str, FloatArray]:
+    """Noise level → (P, P) covariance of the shared parameters due to it, if it is correct, at an optimum."""
+    total = defaultdict[str, FloatArray](lambda: np.zeros_like(lin.covariance))
+    total.update(_by_images(lin))
+    for influence in _but_images(lin):
         for level, covariance in influence.covariances.items():
-            covariances[level] += covariance
-        spread += influence.spread
-    return Moved(covariances, spread)
+            total[level] += covariance
+    return total
+
+
+def spread(lin: Posterior) -> FloatArray:
+    """(P, P) the same of all noise, from the residuals' scatter, see `Influence.spread`."""
+    return _spread_by_images(lin) + sum(influence.spread for influence in _but_images(lin))
+
+
+def _but_images(lin: Posterior) -> Iterator[Influence]:
+    """Errors of the stations, and wheels."""
+    yield from of_errors(lin, lin.state.base[:, ERRORS])
+    yield of_legs(lin)
 
 
 def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
@@ -111,19 +101,18 @@ def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
     share[:, JOINTS] *= (lin.noise.joint_rad * data.joint_units / sigma[:, JOINTS]) ** 2
     root = np.where(used, 1 / sigma, 0.0)
     of_joints = {"joint_rad": np.eye(data.joints.shape[1])[None]}
+    residual, by_shared = lin.state.own * root, root[:, :, None] * lin.following.own
     for columns, parts in ((JOINTS, of_joints), (SWAY, _by_level(["sway_rad", "sway_rad", "sway_m"]))):
         at = _diagonal(root)[:, :, columns]
         leverage = at.mT @ marginal.own @ at
-        residual = (lin.state.own * root)[:, columns]
-        yield Influence(
-            lin, residual, leverage, parts, partial(_of_own, lin, root, columns), share[:, columns]
-        )
+        yield Influence(lin, residual[:, columns], leverage, parts, by_shared[:, columns], share[:, columns])
     root = 1 / np.sqrt(processes.variance)
     leverage = _diagonal(root) @ marginal.innovations(processes.rho) @ _diagonal(root)
     leverage[:, 0, 1] = leverage[:, 1, 0] = (
         0.0  # each of a station's two encoder readings is a unit by itself
     )
     residual = processes.innovations(errors) * root
+    by_shared = root[:, :, None] * processes.innovations(lin.normal.base_by_shared[:, ERRORS])
     for group in ({"encoder_rad"}, {*LENGTHS}, {"stamp_s"}):
         mine = [k for k, level in enumerate(processes.levels) if level in group]
         yield Influence(
@@ -131,20 +120,9 @@ def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
             residual[:, mine],
             leverage[:, mine][:, :, mine],
             _by_level([processes.levels[k] for k in mine]),
-            partial(_of_innovations, lin, root, mine),
+            by_shared[:, mine],
             processes.share[:, mine],
         )
-
-
-def _of_own(lin: Posterior, root: FloatArray, columns: slice) -> FloatArray:
-    """`Influence.derivatives` of own errors, with roots (N, J + 3) of their weights."""
-    return np.asarray((root[:, :, None] * lin.following.own)[:, columns])
-
-
-def _of_innovations(lin: Posterior, root: FloatArray, mine: list[int]) -> FloatArray:
-    """`Influence.derivatives` of some innovations, with roots (N, K) of their weights."""
-    errors, rho = lin.normal.base_by_shared[:, ERRORS][:, mine], lin.processes.rho[:, mine, None]
-    return np.asarray(root[:, mine, None] * (errors - rho * np.roll(errors, 1, axis=0)))
 
 
 def _diagonal(values: FloatArray) -> FloatArray:
@@ -215,21 +193,21 @@ def of_legs(lin: Posterior) -> Influence:
         (root.mT @ lin.legs.residual[..., None])[..., 0],
         root.mT @ lin.marginals.legs @ root,
         {level: root.mT @ share @ root for level, share in lin.leg_covariances.items()},
-        lambda: root.mT @ lin.following.legs,
+        root.mT @ lin.following.legs,
     )
 
 
-def shares(lin: Posterior, by: Moved) -> Mapping[str, FloatArray]:
+def shares(lin: Posterior, by_level: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
     """Source → (P, P) share of the covariance of the shared parameters; the shares add up to it.
 
     With C = H^-1 and H the sum of J_s^T W_s J_s over the sources s, C is the sum of C J_s^T W_s J_s C. Joint readings
     that are outliers and bases that no measurement holds count as a source of their own ("other"). The others are noise
-    levels, kinds of constants for their priors, "nominal" for those of the nine parameters, and "unobservable" for the
-    prior variance of unobservable directions.
+    levels, see `covariances`, kinds of constants for their priors, "nominal" for those of the nine parameters, and
+    "unobservable" for the prior variance of unobservable directions.
     """
     C, layout = lin.conditional_covariance, lin.data.layout
     result = defaultdict[str, FloatArray](lambda: np.zeros_like(C))
-    for level, covariance in by.covariances.items():
+    for level, covariance in by_level.items():
         result["wheel_rad_per_sqrt_rad" if level == SUPPOSED else level] += covariance
     for k, kind in enumerate(["nominal"] * len(NINE) + [row.kind for row in layout.constants]):
         if lin.priors.weight[k]:

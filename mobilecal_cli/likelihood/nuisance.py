@@ -176,12 +176,6 @@ def _row(name: str, kind: str, part: str, meaning: str, effect: Effect, unit: fl
     return Constant(name, kind, part, meaning, effect, _BY_NAME[kind].sigma * unit)
 
 
-_LENS_TERMS = {
-    "radial_1": "radial distortion, third order",
-    "radial_2": "radial distortion, fifth order",
-    "tangential_x": "tangential distortion, x",
-    "tangential_y": "tangential distortion, y",
-}
 _NARROWER = partial(resized, x=0.5, y=-0.5)
 _SHAPES = (
     ("square_scale", "square_size", "size of the squares", partial(resized, x=1.0, y=1.0)),
@@ -197,54 +191,38 @@ _FLOOR_POWERS = tuple((a, degree - a) for degree in (2, 3) for a in range(degree
 _CLOCKS: tuple[tuple[Literal["joints", "wheels"], str], ...] = (("joints", "joint"), ("wheels", "wheel"))
 
 
-def _each_number(
-    name: str, kind: str, part: str, meaning: str, effect: tuple[str, int], terms: Mapping[str, str]
-) -> Iterator[Constant]:
-    """A row for each number of a camera's vector.
-
-    Args:
-        name, kind, part, meaning: of the rows; name and meaning as they begin.
-        effect: attribute of `CameraChange`, and index of the camera.
-        terms: how the name and the meaning end, number by number.
-    """
-    for (end, word), along in zip(terms.items(), np.eye(len(terms)).tolist(), strict=True):
-        of, camera = effect
-        yield _row(f"{name}_{end}", kind, part, meaning + word, CameraEffect(of, tuple(along), camera))
-
-
-def _of_each_camera(names: Sequence[str]) -> Iterator[Constant]:
-    """Rows of the cameras themselves, one property after the other."""
-    parts = [(k, name, camera_words(name)) for k, name in enumerate(names)]
-    for k, name, part in parts:
-        size = CameraEffect("focal", (1.0, 1.0), k)
-        yield _row(f"focal_{name}", "focal_length", part, "focal length", size)
-    for k, name, part in parts:
-        aspect = CameraEffect("focal", (0.5, -0.5), k)
-        yield _row(f"focal_aspect_{name}", "focal_aspect", part, "fx against fy", aspect)
-    for k, name, part in parts:
-        row = f"principal_{name}", "principal_point", part, "principal point, "
-        yield from _each_number(*row, ("principal", k), _letters("xy"))
-    for k, name, part in parts:
-        yield from _each_number(f"distortion_{name}", "distortion", part, "", ("lens", k), _LENS_TERMS)
+_AXES = (("x", (1.0, 0.0, 0.0)), ("y", (0.0, 1.0, 0.0)), ("z", (0.0, 0.0, 1.0)))
+_Rows = Sequence[Sequence[tuple[str, str, str, str, tuple[float, ...]]]]
+# Rows of each camera: name (with the camera's), kind, meaning (with the first camera), attribute of `CameraChange` and
+# vector that a value of one adds to it. The rows of one property of all cameras stand together.
+# fmt: off
+_OF_CAMERAS: _Rows = (
+    (("focal_{}", "focal_length", "focal length", "focal", (1.0, 1.0)),),
+    (("focal_aspect_{}", "focal_aspect", "fx against fy", "focal", (0.5, -0.5)),),
+    (("principal_{}_x", "principal_point", "principal point, x", "principal", (1.0, 0.0)),
+     ("principal_{}_y", "principal_point", "principal point, y", "principal", (0.0, 1.0))),
+    (("distortion_{}_radial_1", "distortion", "radial distortion, third order", "lens", (1.0, 0.0, 0.0, 0.0)),
+     ("distortion_{}_radial_2", "distortion", "radial distortion, fifth order", "lens", (0.0, 1.0, 0.0, 0.0)),
+     ("distortion_{}_tangential_x", "distortion", "tangential distortion, x", "lens", (0.0, 0.0, 1.0, 0.0)),
+     ("distortion_{}_tangential_y", "distortion", "tangential distortion, y", "lens", (0.0, 0.0, 0.0, 1.0))),
+)
+# Of the poses of the others in the first: calibrated (without the direction of the baseline), and as described.
+_CALIBRATED: _Rows = ([(f"stereo_r_{x}", "stereo_rotation", f"rotation about the {{}}'s {x}", "turn", e)
+                       for x, e in _AXES],)
+_DESCRIBED: _Rows = ([(f"{of}_{{}}_{x}", kind, f"{word} the {{}}'s {x}", of, e)
+                      for of, kind, word in (("turn", "camera_rotation", "rotation about"),
+                                             ("shift", "camera_position", "position along")) for x, e in _AXES],)
+_DELAYS: _Rows = ([("time_{}", "stereo_clock", "delay against the {}", "delay_s", (1.0,))],)
+# fmt: on
 
 
-def _letters(axes: str) -> dict[str, str]:
-    return dict(zip(axes, axes, strict=True))
-
-
-def _of_poses(names: Sequence[str], calibrated: bool) -> Iterator[Constant]:
-    """Rows of the other cameras' poses in the first one, without the direction of a baseline."""
-    first = camera_words(names[0])
-    for k, name in enumerate(names[1:], 1):
-        part, about = camera_words(name), f"rotation about the {first}'s "
-        turn = ("stereo_r", "stereo_rotation") if calibrated else (f"turn_{name}", "camera_rotation")
-        yield from _each_number(*turn, part, about, ("turn", k), _letters("xyz"))
-        if calibrated:
-            longer = CameraEffect("length", (1.0,), k)
-            yield _row("baseline_scale", "baseline_length", "stereo pair", "length of the baseline", longer)
-        else:
-            shift = f"shift_{name}", "camera_position", part, f"position along the {first}'s "
-            yield from _each_number(*shift, ("shift", k), _letters("xyz"))
+def _of_cameras(rows: _Rows, names: Sequence[str], but: int = 0) -> Iterator[Constant]:
+    """Rows for all cameras but so many first ones."""
+    for of_property in rows:
+        for k, camera in enumerate(names[but:], but):
+            for name, kind, meaning, of, along in of_property:
+                words = camera_words(camera), meaning.format(camera_words(names[0]))
+                yield _row(name.format(camera), kind, *words, CameraEffect(of, along, k))
 
 
 def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
@@ -255,8 +233,10 @@ def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
     return (
         _row("time_joints", "clock", "joints", "joint clock minus camera clock", Clock("joints")),
         _row("time_wheels", "clock", "wheels", "wheel clock minus camera clock", Clock("wheels")),
-        *_of_each_camera(names),
-        *_of_poses(names, calibrated),
+        *_of_cameras(_OF_CAMERAS, names),
+        *_of_cameras(_CALIBRATED if calibrated else _DESCRIBED, names, but=1),
+        *[_row("baseline_scale", "baseline_length", "stereo pair", "length of the baseline",
+               CameraEffect("length", (1.0,), 1))] * calibrated,
         *(_row(name, kind, "board", meaning, BoardEffect(shape)) for name, kind, meaning, shape in _SHAPES),
         _row("lean_roll", "lean", "base", "roll of the base against the floor's normal", BaseLean(0)),
         _row("lean_pitch", "lean", "base", "pitch of the base against the floor's normal", BaseLean(1)),
@@ -265,8 +245,7 @@ def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
         _row("turn_sides", "turn_sides", "wheels", "effective separation in left turns", Widening("side")),
         _row("wheel_delay", "wheel_delay", "wheels", "delay of the right wheel's readings against the left one's",
              WheelDelay()),
-        *(_row(f"time_{name}", "stereo_clock", camera_words(name), f"delay against the {first}",
-               CameraEffect("delay_s", (1.0,), k)) for k, name in enumerate(names[1:], 1)),
+        *_of_cameras(_DELAYS, names, but=1),
         _row("readout", "readout", every, "time between the first and the last row",
              CameraEffect("readout_s", (1.0,), None)),
     )

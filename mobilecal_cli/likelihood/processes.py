@@ -48,8 +48,9 @@ class Processes:
     mean_share: FloatArray
 
     def innovations(self, errors: FloatArray) -> FloatArray:
-        """(N, K) w = f_j - rho f_i of the errors, (N, K)."""
-        return errors - self.rho * np.roll(errors, 1, axis=0)
+        """(N, K, ...) w = f_j - rho f_i of the errors, (N, K, ...), or of their derivatives."""
+        rho = self.rho.reshape(*self.rho.shape, *[1] * (errors.ndim - 2))
+        return np.asarray(errors - rho * np.roll(errors, 1, axis=0))
 
     def whitened(self, base: FloatArray) -> FloatArray:
         """(N, K) innovations of the errors in base blocks (N, B), in standard deviations."""

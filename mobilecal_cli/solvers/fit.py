@@ -11,7 +11,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import unseen_height
-from mobilecal_cli.likelihood.budget import Moved, moved, shares
+from mobilecal_cli.likelihood.budget import covariances, shares, spread
 from mobilecal_cli.likelihood.dataset import Dataset, Inliers
 from mobilecal_cli.likelihood.effects import CameraEffect
 from mobilecal_cli.likelihood.nuisance import camera_change
@@ -92,9 +92,9 @@ class Fit:
         return ResidualTests(self.lin)
 
     @cached_property
-    def moved(self) -> Moved:
-        """How the measurements move the shared parameters."""
-        return moved(self.lin)
+    def by_level(self) -> Mapping[str, FloatArray]:
+        """Noise level → (P, P) covariance of the shared parameters due to it."""
+        return covariances(self.lin)
 
     @property
     def budget(self) -> Mapping[str, FloatArray]:
@@ -102,7 +102,7 @@ class Fit:
 
         "recordings" is by how much the spread between recordings makes it larger.
         """
-        budget = dict(shares(self.lin, self.moved))
+        budget = dict(shares(self.lin, self.by_level))
         if self.between is not None and self.pooled_covariance is not None and self.between.between_std.any():
             considered = self.lin.considered
             budget["recordings"] = self.pooled_covariance + considered @ considered.T - self.lin.covariance
@@ -118,7 +118,7 @@ class Fit:
         """
         considered, pooled = self.lin.considered, self.pooled_covariance
         covariance = self.lin.covariance.copy() if pooled is None else pooled + considered @ considered.T
-        for level, share in self.moved.covariances.items():
+        for level, share in self.by_level.items():
             component = self.components.get(level)
             if component is not None and level not in self.given:
                 alike = self.components.get(_ALIKE.get(level, ""))
@@ -204,7 +204,7 @@ def _jackknife_covariance(fit: Fit) -> FloatArray:
     not show them.
     """
     C, weight, considered = fit.lin.conditional_covariance, fit.lin.priors.weight, fit.lin.considered
-    return np.asarray(fit.moved.spread + (C * weight) @ C.T + considered @ considered.T)
+    return np.asarray(spread(fit.lin) + (C * weight) @ C.T + considered @ considered.T)
 
 
 def _reference_jacobian(fit: Fit) -> FloatArray:
