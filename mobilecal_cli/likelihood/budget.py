@@ -31,7 +31,7 @@ class Influence:
         residual: (n, m) whitened residuals of each unit.
         leverage: (n, m, m) each unit's block of the hat matrix.
         parts: noise level (see `Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity.
-        by_shared: (n, m, P) derivatives of the residuals by the shared parameters, see `Following`.
+        by_shared: (n, m, P) derivatives of the residuals by the shared parameters, all else following.
         share: (n, m) of the noise level in the variance of each residual, 0 of outliers; the rest is of readings that
             are interpolated.
     """
@@ -101,7 +101,7 @@ def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
     share[:, JOINTS] *= (lin.noise.joint_rad * data.joint_units / sigma[:, JOINTS]) ** 2
     root = np.where(used, 1 / sigma, 0.0)
     of_joints = {"joint_rad": np.eye(data.joints.shape[1])[None]}
-    residual, by_shared = lin.state.own * root, root[:, :, None] * lin.following.own
+    residual, by_shared = lin.state.own * root, root[:, :, None] * lin.normal.own_by_shared
     for columns, parts in ((JOINTS, of_joints), (SWAY, _by_level(["sway_rad", "sway_rad", "sway_m"]))):
         at = _diagonal(root)[:, :, columns]
         leverage = at.mT @ marginal.own @ at
@@ -139,7 +139,7 @@ def _by_level(levels: Sequence[str]) -> dict[str, FloatArray]:
 
 def _by_images(lin: Posterior) -> dict[str, FloatArray]:
     """Noise level → (P, P) covariance of the shared parameters due to the images' noise, if it is correct."""
-    C, views, T = lin.conditional_covariance, lin.views, lin.following.delta
+    C, views, T = lin.conditional_covariance, lin.views, lin.delta_by_shared
     of_level = {level: np.zeros_like(C) for level, _ in views.own}
     for k, (level, variance) in views.own_variances(lin.noise).items():
         by_own = views.onto_shared(views.rows[:, k : k + 1], T)[:, 0]
@@ -161,7 +161,7 @@ def _spread_by_images(lin: Posterior) -> FloatArray:
         parts = []
         for of, A, r in whitened_rows(lin.state, lin.inliers, lin.noise, lin.rates, every[block]):
             A, r = _with_own(lin, of, A, r)
-            K = A[:, :, :6] @ lin.following.delta[block]
+            K = A[:, :, :6] @ lin.delta_by_shared[block]
             K[:, :, columns[of[6:] - 6]] += A[:, :, 6:]
             parts.append((A[:, :, :6], r[..., 0], K))
         by_delta, residual, K = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
@@ -193,7 +193,7 @@ def of_legs(lin: Posterior) -> Influence:
         (root.mT @ lin.legs.residual[..., None])[..., 0],
         root.mT @ lin.marginals.legs @ root,
         {level: root.mT @ share @ root for level, share in lin.leg_covariances.items()},
-        root.mT @ lin.following.legs,
+        root.mT @ lin.legs_by_shared,
     )
 
 

@@ -7,7 +7,7 @@ for the shared parameters is left, however many recordings there are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
@@ -17,7 +17,7 @@ from mobilecal_cli.likelihood.linearization import Linearization, solvable
 from mobilecal_cli.likelihood.measurements import BASE, ERRORS
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.likelihood.views import roots, summed
-from mobilecal_cli.model import EXACT, FloatArray, IntArray
+from mobilecal_cli.model import EXACT, FloatArray
 
 _FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
 _FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
@@ -27,20 +27,16 @@ _FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which 
 class BlockTridiagonal:
     """A positive definite matrix of N x N blocks of size B that couples each station to the next only.
 
-    Every second station is eliminated at once, then every second one of the others, and so on (cyclic reduction): a
-    long recording takes a few steps more than a short one. Given its neighbors, an eliminated station has the
-    covariance S^-1, and the mean ``x = S^-1 r + before x_before + after x_after``.
+    The stations are eliminated one after the other. Given the next one, a station has the covariance S^-1, and the mean
+    ``x = S^-1 r + after x_after``, where r is what the stations before leave of its right side.
 
     Attributes:
-        inverse: (n, B, B) S^-1 of each of the stations 0, 2, 4 ...
-        before, after: (n, B, B) each; zero where there is no neighbor.
-        rest: the matrix of the others that is left; None of one station.
+        inverse: (N, B, B) S^-1 of each.
+        after: (N, B, B); the last is zero.
     """
 
     inverse: FloatArray
-    before: FloatArray
     after: FloatArray
-    rest: BlockTridiagonal | None
 
     @classmethod
     def of(cls, D: FloatArray, off: FloatArray) -> Self:
@@ -53,33 +49,24 @@ class BlockTridiagonal:
         Raises:
             LinAlgError: not positive definite.
         """
-        np.linalg.cholesky(D[::2])
-        inverse, others = np.asarray(np.linalg.inv(D[::2]), dtype=np.float64), len(D) // 2
-        behind, ahead = (
-            off[1:-1:2],
-            off[: 2 * others : 2],
-        )  # of eliminated stations with those before and after
-        before, after = np.zeros((2, *inverse.shape))
-        before[1:], after[:others] = -inverse[1:] @ behind.mT, -inverse[:others] @ ahead
-        if not others:
-            return cls(inverse, before, after, None)
-        left, coupled = D[1::2] + ahead.mT @ after[:others], np.zeros((others, *D.shape[1:]))
-        left[: len(behind)] += behind @ before[1:]
-        coupled[: len(behind)] = behind @ after[1:]
-        return cls(inverse, before, after, cls.of(left, coupled))
+        S, inverse, after = D.copy(), np.empty_like(D), np.zeros_like(D)
+        for i in range(len(D)):
+            if i:
+                after[i - 1] = -inverse[i - 1] @ off[i - 1]
+                S[i] += off[i - 1].T @ after[i - 1]
+            inverse[i] = np.linalg.inv(S[i])
+        np.linalg.cholesky(S)
+        return cls(inverse, after)
 
     def solve(self, right: FloatArray) -> FloatArray:
         """(N, B, R) right sides → (N, B, R)."""
-        x, own, others = np.empty_like(right), right[::2], len(right) // 2
-        beside = np.zeros(
-            (len(own) + 1, *right.shape[1:])
-        )  # the other stations before and after the eliminated ones
-        if self.rest is not None:
-            left = right[1::2] + self.after[:others].mT @ own[:others]
-            left[: len(own) - 1] += self.before[1:].mT @ own[1:]
-            beside[1 : others + 1] = x[1::2] = self.rest.solve(left)
-        x[::2] = self.inverse @ own + self.before @ beside[:-1] + self.after @ beside[1:]
-        return x
+        x = right.copy()
+        for i in range(1, len(x)):
+            x[i] += self.after[i - 1].T @ x[i - 1]
+        x = self.inverse @ x
+        for i in reversed(range(len(x) - 1)):
+            x[i] += self.after[i] @ x[i + 1]
+        return np.asarray(x)
 
     def covariance(self) -> tuple[FloatArray, FloatArray]:
         """Blocks of the inverse on and next to its diagonal.
@@ -87,20 +74,10 @@ class BlockTridiagonal:
         Returns:
             (N, B, B) of each station, and (N, B, B) of each station with the next one (the last is zero).
         """
-        eliminated, B = self.inverse.shape[:2]
-        beside, mixed = np.zeros((eliminated + 1, B, B)), np.zeros((eliminated + 1, B, B))
-        others = 0
-        if self.rest is not None:
-            of_rest, between = self.rest.covariance()
-            others = len(of_rest)
-            beside[1 : others + 1], mixed[1 : others + 1] = of_rest, between
-        with_before = beside[:-1] @ self.before.mT + mixed[:-1] @ self.after.mT
-        with_after = self.before @ mixed[:-1] + self.after @ beside[1:]
-        own, cross = np.zeros((2, eliminated + others, B, B))
-        own[::2] = self.inverse + self.before @ with_before + self.after @ with_after.mT
-        own[1::2] = beside[1 : others + 1]
-        cross[::2] = with_after
-        cross[1:-1:2] = with_before[1:]
+        own, cross = self.inverse.copy(), np.zeros_like(self.inverse)
+        for i in reversed(range(len(own) - 1)):
+            cross[i] = self.after[i] @ own[i + 1]
+            own[i] += cross[i] @ self.after[i].T
         return own, cross
 
 
@@ -112,45 +89,41 @@ class NormalEquations:
         S: (P, P) information of the shared parameters, all others eliminated.
         s: (P,) their gradient, the same way.
         gain: decrease of the cost, to second order, by the best step of stations and boards alone.
-        log: (N,) the recording of each station.
-        base_by_shared: (N, B, P) derivative of the stations' base blocks by the shared parameters, boards following.
-        base_by_board: (N, B, 6) that by the board of the recording.
-        board_by_shared: (logs, 6, P) derivative of the boards by the shared parameters.
+        rest: the best step of all others, without one of the shared parameters.
+        own_by_shared: (N, J + 3, P) derivative of the stations' own errors by the shared parameters, all else
+            following.
+        base_by_shared, board_by_shared: (N, B, P) and (logs, 6, P) those of the base blocks and of the boards.
+        own_by_base: (N, J + 3, B) derivative of the stations' own errors by the base block.
+        own_by_board, base_by_board: (N, J + 3, 6) and (N, B, 6) by the board of the recording, all else following.
+        own_covariance: (N, J + 3, J + 3) of the stations' own errors for a known rest.
         board_covariance: (logs, 6, 6) of the boards for known shared parameters.
         stations: information of the stations' base blocks.
-        E_inverse: (N, E, E) covariance of the stations' own errors for a known rest.
-        E_base, E_board, E_shared: (N, E, B), (N, E, 6) and (N, E, P) their information with base, board, and shared
-            parameters; in the last one the board follows.
     """
 
     S: FloatArray
     s: FloatArray
     gain: float
-    log: IntArray
+    rest: Step
+    own_by_shared: FloatArray
     base_by_shared: FloatArray
-    base_by_board: FloatArray
     board_by_shared: FloatArray
+    own_by_base: FloatArray
+    own_by_board: FloatArray
+    base_by_board: FloatArray
+    own_covariance: FloatArray
     board_covariance: FloatArray
     stations: BlockTridiagonal
-    E_inverse: FloatArray
-    E_base: FloatArray
-    E_board: FloatArray
-    E_shared: FloatArray
-    _base: FloatArray
-    _board: FloatArray
-    _e: FloatArray
 
     def step(self, shared: FloatArray) -> Step:
         """The step of all unknowns that goes with a step (P,) of the shared parameters."""
-        boards = self._board + self.board_by_shared @ shared
-        base = self._base + self.base_by_shared @ shared
-        coupled = self._e + np.einsum("njb,nb->nj", self.E_base, base) + self.E_shared @ shared
-        return Step(shared, boards, base, -np.einsum("njk,nk->nj", self.E_inverse, coupled))
+        boards = self.rest.boards + self.board_by_shared @ shared
+        base = self.rest.base + self.base_by_shared @ shared
+        return Step(shared, boards, base, self.rest.own + self.own_by_shared @ shared)
 
     def after(self, shared: FloatArray) -> NormalEquations:
         """The same after the step of all unknowns that goes with a step (P,) of the shared parameters."""
-        still = {name: np.zeros_like(getattr(self, name)) for name in ("_base", "_board", "_e")}
-        return replace(self, s=self.s + self.S @ shared, gain=0.0, **still)
+        still = Step(*(np.zeros_like(getattr(self.rest, each.name)) for each in fields(Step)))
+        return replace(self, s=self.s + self.S @ shared, gain=0.0, rest=still)
 
 
 @solvable()
@@ -225,23 +198,23 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     S[views.columns] = S[:, views.columns].T
     S[np.diag_indices(P)] += damping * diagonal
     gain = float(np.einsum("nj,njk,nk->", e, E_inverse, e)) + float(np.sum(b * y[..., 0]))
+    own_by_base = -E_inverse @ E_base
+    base_by_shared, base = YK @ Z[data.log] - Y, YK @ z[data.log] - y
+    own_rest = own_by_base @ base - E_inverse @ (e[..., None] - E_board @ z[data.log])
     return NormalEquations(
         S=_none_negative(S - summed(SKS, Z), (1 + damping) * diagonal),
         s=h - summed(C, y)[:, 0] - summed(SKS, z)[:, 0],
         gain=gain + float(np.sum(sK * z)),
-        log=data.log,
-        base_by_shared=YK @ Z[data.log] - Y,
-        base_by_board=-YK,
+        rest=Step(np.zeros(P), -z[..., 0], base[..., 0], own_rest[..., 0]),
+        own_by_shared=own_by_base @ base_by_shared - E_inverse @ (E_shared - E_board @ Z[data.log]),
+        base_by_shared=base_by_shared,
         board_by_shared=-Z,
+        own_by_base=own_by_base,
+        own_by_board=-own_by_base @ YK - E_inverse @ E_board,
+        base_by_board=-YK,
+        own_covariance=E_inverse,
         board_covariance=V,
         stations=stations,
-        E_inverse=E_inverse,
-        E_base=E_base,
-        E_board=E_board,
-        E_shared=E_shared - E_board @ Z[data.log],
-        _base=(YK @ z[data.log] - y)[..., 0],
-        _board=-z[..., 0],
-        _e=e - (E_board @ z[data.log])[..., 0],
     )
 
 

@@ -66,9 +66,22 @@ class Posterior(Linearization):
         return self.conditional_covariance + self.considered @ self.considered.T
 
     @cached_property
-    def following(self) -> Following:
-        """Derivatives by the shared parameters."""
-        return following(self)
+    def delta_by_shared(self) -> FloatArray:
+        """(N, 6, P) each station's board pose in the camera by the shared parameters, all else following.
+
+        What follows does so as the measurements make it: so residuals pull at the shared parameters, all else
+        eliminated.
+        """
+        normal, views = self.normal, self.views
+        delta = views.by_base @ normal.base_by_shared + views.by_own @ normal.own_by_shared
+        delta += views.by_board @ normal.board_by_shared[self.data.log]
+        return np.asarray(delta + views.by_shared)
+
+    @cached_property
+    def legs_by_shared(self) -> FloatArray:
+        """(L, K, P) the legs' residuals by the shared parameters, all else following."""
+        base, legs, (i, j) = self.normal.base_by_shared, self.legs, self.data.legs.T
+        return np.asarray(legs.by_start @ base[i] + legs.by_end @ base[j] + legs.by_shared)
 
     @cached_property
     def marginals(self) -> Marginals:
@@ -78,7 +91,7 @@ class Posterior(Linearization):
     @cached_property
     def of_images(self) -> FloatArray:
         """(P, P) information of the images about the shared parameters where all other unknowns follow."""
-        views, delta = self.views, self.following.delta
+        views, delta = self.views, self.delta_by_shared
         rows, columns = views.rows[:, :6], views.columns
         total = summed(delta, views.onto_shared(rows, delta))
         total[columns] += summed(rows[:, :, 6:], delta)
@@ -87,7 +100,7 @@ class Posterior(Linearization):
 
     def spread_in_images(self, A: FloatArray) -> FloatArray:
         """(N, k, k) covariance of sums A (N, k, Q) of each station's (delta, direct constants)."""
-        by_shared = self.views.onto_shared(A, self.following.delta)
+        by_shared = self.views.onto_shared(A, self.delta_by_shared)
         known = _sandwich(A[:, :, :6], self.marginals.known)
         return known + _sandwich(by_shared, self.conditional_covariance)
 
@@ -100,33 +113,6 @@ class Posterior(Linearization):
             "conditional_covariance": self.conditional_covariance,
         }
         return self.changed(known=known, state=self.state.plus(step))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Following:
-    """Derivatives by the shared parameters where all other unknowns follow as the measurements make them.
-
-    They are also how the residuals pull at the shared parameters, all else eliminated.
-
-    Attributes:
-        delta: (N, 6, P) of each station's board pose in the camera.
-        own: (N, J + 3, P) of the joint errors and of the sway.
-        legs: (L, K, P) of the legs' residuals.
-    """
-
-    delta: FloatArray
-    own: FloatArray
-    legs: FloatArray
-
-
-def following(lin: Posterior) -> Following:
-    """The derivatives at a point; those of base blocks and boards are in its normal equations."""
-    normal, views, legs, (i, j) = lin.normal, lin.views, lin.legs, lin.data.legs.T
-    base = normal.base_by_shared
-    own = -normal.E_inverse @ (normal.E_base @ base + normal.E_shared)
-    delta = views.by_base @ base + views.by_own @ own + views.by_shared
-    delta += views.by_board @ normal.board_by_shared[lin.data.log]
-    return Following(delta, own, legs.by_start @ base[i] + legs.by_end @ base[j] + legs.by_shared)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,10 +161,8 @@ def marginals(lin: Posterior) -> Marginals:
     Raises:
         SolveError: a singular matrix.
     """
-    normal, C, derivatives = lin.normal, lin.conditional_covariance, lin.following
-    with_board = normal.base_by_board
-    # A station's own errors for a known rest, by base and board.
-    by_base, by_board = -normal.E_inverse @ normal.E_base, -normal.E_inverse @ normal.E_board
+    normal, C = lin.normal, lin.conditional_covariance
+    with_board, by_base = normal.base_by_board, normal.own_by_base
     views, legs, log = lin.views, lin.legs, lin.data.log
     # The board of a recording is one unknown of all its stations: their covariance for a known board comes first.
     V = normal.board_covariance[log]
@@ -186,11 +170,10 @@ def marginals(lin: Posterior) -> Marginals:
     own = known + _sandwich(with_board, V)
     cross[:-1] += with_board[:-1] @ V[:-1] @ with_board[1:].mT
 
-    K_own = by_base @ with_board + by_board
-    K = views.by_base @ with_board + views.by_own @ K_own + views.by_board
+    K = views.by_base @ with_board + views.by_own @ normal.own_by_board + views.by_board
     of_views = _sandwich(views.by_base + views.by_own @ by_base, known) + _sandwich(K, V)
-    of_views += _sandwich(views.by_own, normal.E_inverse)
-    errors = normal.E_inverse + _sandwich(by_base, known) + _sandwich(K_own, V)
+    of_views += _sandwich(views.by_own, normal.own_covariance)
+    errors = normal.own_covariance + _sandwich(by_base, known) + _sandwich(normal.own_by_board, V)
     i, j = lin.data.legs.T
     of_base = normal.base_by_shared[:, ERRORS]
     along, transposed = np.tensordot(of_base, C, 1), of_base.mT
@@ -200,8 +183,8 @@ def marginals(lin: Posterior) -> Marginals:
     both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
     return Marginals(
         known=of_views,
-        own=errors + _sandwich(derivatives.own, C),
-        legs=both + mixed + mixed.mT + _sandwich(derivatives.legs, C),
+        own=errors + _sandwich(normal.own_by_shared, C),
+        legs=both + mixed + mixed.mT + _sandwich(lin.legs_by_shared, C),
         errors=of_errors,
         before=before,
     )

@@ -323,7 +323,7 @@ class TestImages:
         apart = lin.changed(apart=True).views
         every = np.tile(np.eye(apart.rows.shape[2]), (STATIONS, 1, 1))
         by_shared = apart.onto_shared(every, apart.by_shared)
-        by_shared[:, :6] = lin.following.delta
+        by_shared[:, :6] = lin.delta_by_shared
         return lin, apart, by_shared
 
     def test_their_share_of_the_covariance(self, known):
