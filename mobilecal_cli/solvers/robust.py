@@ -7,7 +7,6 @@ no influence. Their sum has many minima. So each measurement has a weight, and t
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -56,8 +55,7 @@ def agreeing(starts: Iterable[Posterior], near: Iterable[Posterior]) -> tuple[St
     Raises:
         SolveError: no start leads to a minimum.
     """
-    minima = list(_minima(starts, np.inf))
-    further = _minima(near, _NEAR_WIDTH)
+    minima, further = list(_minima(starts, np.inf)), _minima(near, _NEAR_WIDTH)
     while not _settled(minima) and (minimum := next(further, None)) is not None:
         minima.append(minimum)
     if not minima:
@@ -66,7 +64,11 @@ def agreeing(starts: Iterable[Posterior], near: Iterable[Posterior]) -> tuple[St
             "check the signs and units of joints and wheels in rig.yaml, and that the base turns and drives",
         )
     least = _least(minima)
-    for again in itertools.islice(_onward(least), _ROUNDS):
+    for _ in range(_ROUNDS):
+        # What was far off at the start may be near by now.
+        again = least if least.sure else next(_minima([least.lin], _NEAR_WIDTH), least)
+        if again.cost > least.cost - _LITTLE:
+            break
         least = again
     views = least.used["views"] & (np.sum(~least.used["readings"], axis=1) <= 1)
     readings = least.used["readings"] | ~views[:, None]
@@ -137,16 +139,6 @@ def _minima(starts: Iterable[Posterior], width: float) -> Iterator[_Minimum]:
             continue
         if math.isfinite(minimum.cost):
             yield minimum
-
-
-def _onward(minimum: _Minimum) -> Iterator[_Minimum]:
-    """Lower minima, each from the one before, until one is sure: what was far off at a start may be near by then."""
-    while not minimum.sure:
-        again = next(_minima([minimum.lin], _NEAR_WIDTH), minimum)
-        if again.cost > minimum.cost - _LITTLE:
-            return
-        minimum = again
-        yield minimum
 
 
 def _minimum(lin: Posterior, width: float) -> _Minimum:
