@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mobilecal_cli.kinematics import between_steps, encoder_steps_rad
-from mobilecal_cli.likelihood.measurements import Measurements, SensorMotions, legs_between, steps_between
+from mobilecal_cli.likelihood.measurements import Measurements, legs_between, steps_between
 from mobilecal_cli.likelihood.nuisance import Constant, Layout, kind
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Observation, Track, WheelTrack
 
@@ -103,10 +103,6 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     units = extraction.rig.chain.joint_units
     joint_noise = [[_noise(track) for track in of_log] for of_log in extraction.joint_tracks]
     widths_ns = tuple(tuple(map(_width_ns, of_log, units)) for of_log in joint_noise)
-    motions = None
-    if extraction.motions:
-        measured = [(m.motion, m.covariance) for m in extraction.motions]
-        motions = SensorMotions(*(np.stack(part) for part in zip(*measured, strict=True)))
     shown = np.stack([[view.seen for view in o.views] for o in observations])
     claims = np.hypot([[view.sigma_px for view in o.views] for o in observations], _LEAST_CLAIM_PX)
     usual = math.sqrt(np.mean(claims[shown.any(axis=2)] ** 2)) if shown.any() else 1.0
@@ -138,7 +134,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         legs=legs_between(log),
         tracks=tracks,
         driven=steps_between(tracks, log, times_ns),
-        motions=motions,
+        motions=extraction.motions,
         times_ns=times_ns,
         encoder_step_rad=steps,
         sources=extraction.rig.sources,

@@ -337,7 +337,7 @@ class FloorShape(FloorEffect):
 
     def offered(self, data: Measurements) -> bool:
         """Only the images of a base that drives to more places than a floor has terms show it."""
-        return data.motions is None and int(((data.log == self.log) & data.drives).sum()) > self.terms
+        return not data.motions and int(((data.log == self.log) & data.drives).sum()) > self.terms
 
     def _derivative(self, data: Measurements, base: FloatArray, by_x: int, by_y: int) -> FloatArray:
         """(N,) so many times by x and by y, 0 in other recordings."""
@@ -448,7 +448,7 @@ class WheelDelay(Rolling):
 
     def offered(self, data: Measurements) -> bool:
         """Only wheels with readings of their own, over time."""
-        return not data.sources.of_odometry and data.motions is None
+        return not data.sources.of_odometry and not data.motions
 
     def further(self, steps: Increments, value: float) -> FloatArray:
         """(2, n) what each wheel turns faster by at the end of a step, for half of the delay."""

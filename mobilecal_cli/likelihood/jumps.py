@@ -66,12 +66,8 @@ class Jump:
     also: str = ""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """Derivatives by a part's m numbers: (N, T, m) of the traced unknowns, and (L, K, m) of the legs' ends."""
-
-    views: FloatArray
-    legs: FloatArray
+#: Derivatives by a part's m numbers: (N, T, m) of the traced unknowns, and (L, K, m) of the legs' ends.
+_Part = tuple[FloatArray, FloatArray]
 
 
 def _parts(lin: Posterior) -> dict[str, _Part]:
@@ -80,7 +76,7 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
     def of_images(unknowns: Sequence[int], columns: FloatArray) -> _Part:
         by_images = np.zeros((*views.pull.shape, columns.shape[-1]))
         by_images[:, [views.traced.tolist().index(unknown) for unknown in unknowns]] = columns
-        return _Part(by_images, np.zeros((*residuals.shape, columns.shape[-1])))
+        return by_images, np.zeros((*residuals.shape, columns.shape[-1]))
 
     delta = range(6)
     parts = {"head mount": of_images(delta, views.by_shared[:, :, :6])}
@@ -96,7 +92,7 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
     for name, radii in WHEELS.items():
         if name != BOTH_WHEELS or data.logs > 1:
             no_images = np.zeros((*views.pull.shape, len(radii)))
-            parts[name] = _Part(no_images, lin.legs.by_shared[:, :, 6:8][:, :, radii])
+            parts[name] = no_images, lin.legs.by_shared[:, :, 6:8][:, :, radii]
     return parts
 
 
@@ -155,7 +151,8 @@ def _scores(lin: Posterior, part: _Part, stations: Sequence[int] | IntArray, las
     after = after.astype(np.float64)
 
     # Station by station and leg by leg: the gradient, the information, and that with all other unknowns.
-    V, GV, D, WD = part.views, lin.station_rows.mT @ part.views, part.legs, lin.leg_weight @ part.legs
+    V, D = part
+    GV, WD = lin.station_rows.mT @ V, lin.leg_weight @ D
     of_images = (
         np.einsum("nqm,nq->nm", V, views.pull),
         V.mT @ GV[:, views.traced],
@@ -202,9 +199,9 @@ def without(lin: Posterior, jump: Jump, large: bool = False) -> Posterior:
     To first order, the derivatives may be those midway between the wheels before and after; a large step begins at the
     point.
     """
-    part, after = _parts(lin)[jump.part], stations_after(lin, jump.station)
-    views = lin.views.shifted(np.where(after[:, None], part.views @ jump.value, 0.0))
-    moved = part.legs @ jump.value
+    (of_views, of_legs), after = _parts(lin)[jump.part], stations_after(lin, jump.station)
+    views = lin.views.shifted(np.where(after[:, None], of_views @ jump.value, 0.0))
+    moved = of_legs @ jump.value
     if large and jump.part in WHEELS:
         step = np.zeros(lin.data.layout.size)
         step[6:8][WHEELS[jump.part]] = jump.value

@@ -18,7 +18,6 @@ from mobilecal_cli.likelihood.measurements import (
     FLOOR,
     SCALES,
     STAMP,
-    SensorMotions,
     heading_of,
     planar_pose,
 )
@@ -128,10 +127,10 @@ def linearize_legs(state: State, processes: Processes) -> Legs:
     for column, _, drift in data.layout.of(FloorDrift):
         by_shared[:, :2, column] = drift.carried(data, heading, rolled)
     odometry = residual, by_start, by_end, by_shared
-    if data.motions is None:
+    if not data.motions:
         return Legs(*odometry)
-    sensor = _of_sensor(state, data.motions)
-    return Legs(*(np.concatenate(both, axis=1) for both in zip(odometry, sensor, strict=True)))
+    both = zip(odometry, _of_sensor(state), strict=True)
+    return Legs(*(np.concatenate(each, axis=1) for each in both))
 
 
 def residuals_moved(state: State, step: FloatArray, processes: Processes) -> FloatArray:
@@ -147,11 +146,11 @@ def _wrapped(residual: FloatArray) -> FloatArray:
     return residual
 
 
-def _of_sensor(state: State, motions: SensorMotions) -> tuple[FloatArray, ...]:
+def _of_sensor(state: State) -> tuple[FloatArray, ...]:
     """Measured minus predicted motion of a planar sensor on the head, which does not move meanwhile."""
     data, X, i = state.data, state.parameters.T_h_c, state.data.legs[:, 0]
     T_b = planar_pose(base_legs(state))
-    T_v_c = state.T_v_h[i] @ X
+    T_v_c = state.frames.T_v_h[i] @ X
     T = se3.inverse(T_v_c) @ T_b @ T_v_c
     # Rows of a left twist of T that move x, y and heading.
     rows = np.zeros((len(T), 3, 6))
@@ -165,16 +164,16 @@ def _of_sensor(state: State, motions: SensorMotions) -> tuple[FloatArray, ...]:
     by_shared = np.zeros((len(T), 3, data.layout.size))
     by_pose = rows @ (np.eye(6) - se3.adjoint(T))
     by_shared[:, :, :6] = by_pose @ np.kron(np.eye(2), X[:3, :3].T)
-    residual = _wrapped(motions.motion - np.column_stack([T[:, :2, 3], heading_of(T)]))
+    measured = np.array([each.motion for each in data.motions])
+    residual = _wrapped(measured - np.column_stack([T[:, :2, 3], heading_of(T)]))
     return residual, by_start, by_end, by_shared
 
 
 def wheels_minus_sensor(state: State, legs: Legs) -> FloatArray:
     """(L, 3) motion of the base by its wheels minus that by a planar sensor: x, y (m) and heading (rad)."""
-    motions = state.data.motions
-    assert motions is not None
-    T_v_c = state.T_v_h[state.data.legs[:, 0]] @ state.parameters.T_h_c
-    by_sensor = T_v_c @ planar_pose(motions.motion) @ se3.inverse(T_v_c)
+    T_v_c = state.frames.T_v_h[state.data.legs[:, 0]] @ state.parameters.T_h_c
+    measured = np.array([each.motion for each in state.data.motions])
+    by_sensor = T_v_c @ planar_pose(measured) @ se3.inverse(T_v_c)
     by_wheels = base_legs(state) + legs.residual[:, :3]
     return _wrapped(by_wheels - np.column_stack([by_sensor[:, :2, 3], heading_of(by_sensor)]))
 
@@ -185,12 +184,13 @@ def all_covariances(state: State, noise: Noise) -> Mapping[str, FloatArray]:
     of_wheels = leg_covariances(data.steps(), state.parameters.wheels, noise, ends_known=True)
     stops = ~data.moving[data.legs].any(axis=1)
     of_wheels[SUPPOSED][stops] += np.diag([_STOP_M**2, _STOP_M**2, _STOP_RAD**2])
-    if data.motions is None:
+    if not data.motions:
         return of_wheels
     wide = {name: np.zeros((len(data.legs), 6, 6)) for name in (*of_wheels, "pose_scale")}
     for name, share in of_wheels.items():
         wide[name][:, :3, :3] = share
-    wide["pose_scale"][:, 3:, 3:] = noise.pose_scale**2 * data.motions.covariance
+    of_motions = np.array([each.covariance for each in data.motions])
+    wide["pose_scale"][:, 3:, 3:] = noise.pose_scale**2 * of_motions
     return wide
 
 

@@ -20,6 +20,7 @@ from mobilecal_cli.model import (
     HeadChain,
     IntArray,
     Noise,
+    SensorMotion,
     Sources,
     Track,
     WheelTrack,
@@ -142,19 +143,6 @@ def in_each_camera(
         yield camera, T_camera_c[:3, :3], np.where(elsewhere[..., None], [0.0, 0.0, 1.0], points)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SensorMotions:
-    """How a planar sensor on the head moved over each leg, in its own frame at the start.
-
-    Attributes:
-        motion: (L, 3) x, y (m) and heading (rad).
-        covariance: (L, 3, 3) as stated.
-    """
-
-    motion: FloatArray
-    covariance: FloatArray
-
-
 @dataclass(frozen=True, eq=False)
 class Measurements:
     """The measurements of N stations of one or several recordings.
@@ -183,7 +171,7 @@ class Measurements:
         legs: (L, 2) consecutive stations of one recording.
         tracks: wheels of each recording.
         driven: their rotations over the legs, cut at the stations' stamps.
-        motions: of a planar sensor over each leg; None where there is none.
+        motions: of a planar sensor over each leg; empty where there is none.
         times_ns: (N,) the stations' stamps.
         encoder_step_rad: (2,) resolution of the right and left wheel's encoder; 0 for none.
         sources: of the recordings' measurements.
@@ -212,7 +200,7 @@ class Measurements:
     legs: IntArray
     tracks: tuple[WheelTrack, ...]
     driven: Increments
-    motions: SensorMotions | None
+    motions: tuple[SensorMotion, ...]
     times_ns: IntArray
     encoder_step_rad: FloatArray
     sources: Sources

@@ -30,7 +30,7 @@ def camera_covariance(lin: Posterior, covariance: FloatArray) -> tuple[FloatArra
         for column, name, effect in lin.data.layout.of(CameraEffect)
         if effect.camera == 0 and effect.of in INTRINSICS and name not in patterns
     }
-    poses = _in_base(lin)
+    poses = in_base(lin)
     constants = np.broadcast_to(
         np.eye(len(covariance))[list(own.values())], (len(poses), len(own), len(covariance))
     )
@@ -38,16 +38,11 @@ def camera_covariance(lin: Posterior, covariance: FloatArray) -> tuple[FloatArra
     return np.mean(by_shared @ covariance @ by_shared.mT, axis=0), tuple(own)
 
 
-def weights_at(lin: Posterior) -> Mapping[str, FloatArray]:
-    """Field of `AtWork` → (P, P) W: its variance is the sum over the elements of W times the covariance.
+def in_base(lin: Posterior) -> FloatArray:
+    """(N, 6, P) the first camera's pose in the base by the shared parameters, right twist: not how the base stands.
 
     With the constants of the head's chain and joints applied.
     """
-    return weights_of(lin.state.parameters, _in_base(lin))
-
-
-def _in_base(lin: Posterior) -> FloatArray:
-    """(N, 6, P) the first camera's pose in the base by the shared parameters, right twist: not how the base stands."""
     poses = -lin.views.by_shared  # the board moves the other way
     for effect in (FloorEffect, Clock):
         poses[:, :, [column for column, _, _ in lin.data.layout.of(effect)]] = 0.0
@@ -55,9 +50,10 @@ def _in_base(lin: Posterior) -> FloatArray:
 
 
 def weights_of(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatArray]:
-    """Field of `AtWork` → (K, K) weights of the covariance of K parameters, of which the nine come first.
+    """Field of `AtWork` → (K, K) W for the covariance of K parameters, of which the nine come first.
 
-    The mean of g g^T over the derivatives g of the figure. Straight driving over s meters: both wheels turn by s / r,
+    Its variance is the sum over the elements of W times the covariance: W is the mean of g g^T over the derivatives g
+    of the figure. Straight driving over s meters: both wheels turn by s / r,
     so a radius error moves its wheel by s dr / r. Turn in place by psi: psi = (rR phiR - rL phiL) / b with
     rR phiR = -rL phiL = psi b / 2 (paper, eq. 10).
 
@@ -91,7 +87,7 @@ def weights_of(parameters: Parameters, camera: FloatArray) -> Mapping[str, Float
 
 
 def expected(weights: Mapping[str, FloatArray], covariance: FloatArray) -> AtWork:
-    """Expected errors from their weights, see `weights_at`, and the covariance (K, K) of the parameters."""
+    """Expected errors from their weights, see `weights_of`, and the covariance (K, K) of the parameters."""
     return AtWork(**{name: math.sqrt(max(0.0, float(np.sum(W * covariance)))) for name, W in weights.items()})
 
 

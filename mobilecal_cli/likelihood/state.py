@@ -10,7 +10,7 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import Increments, JointFrames, head_pose
+from mobilecal_cli.kinematics import Increments, JointFrames
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import (
     BoardEffect,
@@ -155,11 +155,6 @@ class State:
         """The head's joints at every station."""
         return JointFrames.at(self.chain, self.joints)
 
-    @cached_property
-    def T_v_h(self) -> FloatArray:
-        """(N, 4, 4) of every station."""
-        return head_pose(self.chain, self.joints)
-
     # -- cameras and board --------------------------------------------------------------------------
 
     @cached_property
@@ -212,7 +207,7 @@ class State:
     @cached_property
     def T_c_k(self) -> FloatArray:
         """(N, 4, 4) board in the camera, X^-1 T_v_h^-1 T_w_v^-1 T_w_k."""
-        T_w_c = self.T_w_v @ self.T_v_h @ self.parameters.T_h_c
+        T_w_c = self.T_w_v @ self.frames.T_v_h @ self.parameters.T_h_c
         return se3.inverse(T_w_c) @ self.T_w_k[self.data.log]
 
     @cached_property

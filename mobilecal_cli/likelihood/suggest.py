@@ -160,7 +160,7 @@ def _with_stops(lin: Posterior, ways: FloatArray, joints: FloatArray) -> Posteri
         joint_widths_ns=(),
         tracks=tracks,
         driven=steps_between(tracks, copies["log"], copies["times_ns"]),
-        motions=None,
+        motions=(),
         legs=np.stack([np.minimum(np.arange(count - 1), 1), np.arange(1, count)], axis=1),
     )
     base = np.concatenate([state.base[[-1, -1], BASE], _bases(state, ways)])

@@ -139,7 +139,7 @@ def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:
 def pool_recordings(fit: Fit) -> Fit:
     """The fit with the spread between recordings included; unchanged for a single recording, or single legs."""
     lin = fit.lin
-    if len(np.unique(lin.data.log)) < 2 or lin.data.motions is not None:
+    if len(np.unique(lin.data.log)) < 2 or lin.data.motions:
         return fit
     between, step, covariance = weigh_logs(lin)
     if np.any(step):

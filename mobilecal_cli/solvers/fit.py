@@ -16,7 +16,7 @@ from mobilecal_cli.likelihood.dataset import Dataset, Inliers
 from mobilecal_cli.likelihood.effects import CameraEffect
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.predict import STEP, camera_covariance, expected, weights_at
+from mobilecal_cli.likelihood.predict import STEP, camera_covariance, expected, in_base, weights_of
 from mobilecal_cli.likelihood.residual_tests import ResidualTests
 from mobilecal_cli.model import (
     BetweenLogs,
@@ -139,8 +139,12 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
     covariance = shared[:9, :9]
     scales, fixed = fit.lin.priors.scales[:9], fit.lin.priors.fixed[:9]
     observable = (np.sqrt(np.diag(covariance)) < OBSERVABLE_SHARE * scales) & ~fixed
-    shows = _at_work_basis(fit)
+    shows, vertical = np.eye(fit.data.layout.size), unseen_height(fit.data.chain)
+    if vertical is not None:  # errors in use are those without the height of a camera that never tilts
+        shows[3:6, 3:6] -= np.outer(vertical, vertical)
     at_work = shows @ shared @ shows
+    of_figures = weights_of(fit.lin.state.parameters, in_base(fit.lin))
+    weights = {name: shows @ W @ shows for name, W in of_figures.items()}
     but_height = np.sqrt(np.diag(at_work)[:9])
     camera, camera_constants = camera_covariance(fit.lin, at_work)
     levels = [name for name in fit.components if name not in fit.given]
@@ -162,29 +166,20 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
         noise_std=np.sqrt(np.diag(J @ fit.covariance @ J.T)),
         described=~observable & ~fixed & (but_height < OBSERVABLE_SHARE * scales),
         widened=widened,
-        at_work=expected(weights_at(fit.lin), at_work),
+        at_work=expected(weights, shared),
         camera=camera,
         camera_constants=camera_constants,
-        budget=_budget_of(fit, shows),
+        budget=_budget_of(fit, weights),
     )
 
 
-def _at_work_basis(fit: Fit) -> FloatArray:
-    """(P, P) projection of the shared parameters without the height of a camera that never tilts."""
-    shows, vertical = np.eye(fit.data.layout.size), unseen_height(fit.data.chain)
-    if vertical is not None:
-        shows[3:6, 3:6] -= np.outer(vertical, vertical)
-    return shows
-
-
-def _budget_of(fit: Fit, shows: FloatArray) -> Budget:
+def _budget_of(fit: Fit, weights: Mapping[str, FloatArray]) -> Budget:
     """What limits the accuracy: shares of noise levels, kinds of constants and priors in each variance.
 
     Args:
         fit: the estimate.
-        shows: (P, P) projection of the shared parameters that errors in use depend on.
+        weights: figure → (P, P) of the errors in use, see `weights_of`.
     """
-    weights = {name: shows @ W @ shows for name, W in weights_at(fit.lin).items()}
     sources = {
         source: np.concatenate([np.diag(share)[:9], [np.sum(W * share) for W in weights.values()]])
         for source, share in fit.budget.items()
