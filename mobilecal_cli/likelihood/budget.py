@@ -155,12 +155,12 @@ def _spread_by_images(lin: Posterior) -> FloatArray:
     keep the digits that are left.
     """
     every, total = np.arange(lin.data.stations), np.zeros_like(lin.covariance)
-    priors, columns = lin.priors, lin.views.columns
+    priors, columns, level = lin.priors, lin.views.columns, getattr(lin.noise, lin.data.images_level)
     C_root = priors.from_free(np.linalg.inv(np.linalg.cholesky(priors.reduced(lin.information))).T)
     for block in blocks_of(len(every)):
         parts = []
-        for of, A, r in whitened_rows(lin.state, lin.inliers, lin.noise, lin.rates, every[block]):
-            A, r = _with_own(lin, of, A, r)
+        for of, A, r in whitened_rows(lin.state, lin.inliers, lin.rates, every[block]):
+            A, r = _with_own(lin, of, A / level, r / level)
             K = A[:, :, :6] @ lin.delta_by_shared[block]
             K[:, :, columns[of[6:] - 6]] += A[:, :, 6:]
             parts.append((A[:, :, :6], r[..., 0], K))

@@ -200,14 +200,14 @@ def without(lin: Posterior, jump: Jump, large: bool = False) -> Posterior:
     point.
     """
     (of_views, of_legs), after = _parts(lin)[jump.part], stations_after(lin, jump.station)
-    views = lin.views.shifted(np.where(after[:, None], of_views @ jump.value, 0.0))
+    images = lin.images.shifted(np.where(after[:, None], of_views @ jump.value, 0.0))
     moved = of_legs @ jump.value
     if large and jump.part in WHEELS:
         step = np.zeros(lin.data.layout.size)
         step[6:8][WHEELS[jump.part]] = jump.value
         moved = residuals_moved(lin.state, step, lin.processes)
     offset = np.where(after[lin.data.legs[:, 1], None], moved, 0.0)
-    return lin.changed(known={"views": views}, leg_offset=lin.leg_offset + offset)
+    return lin.changed(known={"images": images}, leg_offset=lin.leg_offset + offset)
 
 
 def again(lin: Posterior, jump: Jump) -> Jump:

@@ -103,7 +103,7 @@ class Linearization:
 
     def under(self, priors: Priors) -> Self:
         """The same point with other priors."""
-        same = ("views", "legs", "leg_covariance", "leg_weight", "own_sigmas", "normal")
+        same = ("images", "views", "legs", "leg_covariance", "leg_weight", "own_sigmas", "normal")
         return self.changed(same, priors=priors.widened(self.noise.wider))
 
     def with_noise(self, noise: Noise) -> Self:
@@ -111,16 +111,9 @@ class Linearization:
 
         The views' rates stay, as the views do; see `renewed`.
         """
-        known = {}
-        if "views" in self.__dict__:
-            level = self.data.images_level
-            factor = getattr(noise, level) / getattr(self.noise, level)
-            scaled = self.views.scaled(np.full(self.data.stations, factor))
-            known["views"] = scaled.with_own(noise, self.noise, factor)
         same_legs = noise.wheel_length_m == self.noise.wheel_length_m
         return self.changed(
-            ("legs",) if same_legs else (),
-            known,
+            ("images", "legs") if same_legs else ("images",),
             noise=noise,
             priors=self.priors.widened(noise.wider),
             leg_covariances=all_covariances(self.state, noise),
@@ -140,7 +133,7 @@ class Linearization:
             before.used_corners, after.used_corners
         )
         along = processes_of(self.state, self.noise, inliers)
-        return self.changed((*_LEGS, "views") if same else _LEGS, inliers=inliers, processes=along)
+        return self.changed((*_LEGS, "images", "views") if same else _LEGS, inliers=inliers, processes=along)
 
     def tracing(self, unknowns: tuple[int, ...]) -> Self:
         """The same point with the information of the images kept station by station for further unknowns."""
@@ -153,16 +146,22 @@ class Linearization:
         mine = self.data.log == log
         legs = self.inliers.legs & mine[self.data.legs[:, 0]]
         inliers = replace(self.inliers, views=self.inliers.views & mine, legs=legs)
-        views = self.views.scaled(np.where(mine, 1.0, np.inf))
-        return self.changed((*_LEGS, "own_sigmas"), {"views": views}, inliers=inliers)
+        images = self.images.scaled(np.where(mine, 1.0, np.inf))
+        return self.changed((*_LEGS, "own_sigmas"), {"images": images}, inliers=inliers)
 
     # -- residuals --------------------------------------------------------------------------------
 
     @cached_property
+    def images(self) -> Views:
+        """Residuals of the images, for a noise level of one and constants that are alike from image to image."""
+        group = np.arange(self.data.stations) if self.apart else self.data.log
+        return linearize_views(self.state, self.inliers, self.rates, group, self.traced)
+
+    @cached_property
     def views(self) -> Views:
         """Residuals of the images."""
-        group = np.arange(self.data.stations) if self.apart else self.data.log
-        return linearize_views(self.state, self.inliers, self.noise, self.rates, group, self.traced)
+        level = getattr(self.noise, self.data.images_level)
+        return self.images.scaled(np.full(self.data.stations, level)).with_own(self.noise)
 
     @cached_property
     def legs(self) -> Legs:

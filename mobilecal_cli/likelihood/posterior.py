@@ -107,7 +107,7 @@ class Posterior(Linearization):
     def predicted(self, step: Step) -> Self:
         """The likelihood after an undamped step, all to first order: residuals follow, derivatives stay."""
         known = {
-            "views": self.views.moved(step),
+            "images": self.images.moved(step),
             "legs": self.legs.moved(self.data, step),
             "normal": self.normal.after(step.shared),
             "conditional_covariance": self.conditional_covariance,

@@ -20,7 +20,7 @@ from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
 from mobilecal_cli.likelihood.state import State, Step, standing
 from mobilecal_cli.model import FloatArray, IntArray, Noise
 
-_ROUNDING = 1e-12  # of the cost of images that are far off
+_ROUNDING = 1e-12  # of the cost of images that are so far off that it is all that is left
 #: Attribute of `CameraChange` of which each image has its own value, with several cameras → level of that noise.
 _OWN = {"delay_s": "pair_s", "principal": "shift_px"}
 
@@ -118,33 +118,26 @@ class Views:
             gradient=of_group[:, None] * self.gradient,
         )
 
-    def with_own(self, noise: Noise, before: Noise | None = None, factor: float = 1.0) -> Self:
-        """The same if constants vary from image to image as another noise says.
+    def with_own(self, noise: Noise) -> Self:
+        """The same, which are alike from image to image, if constants vary as a noise says.
 
         Each image's own values are further unknowns, which are eliminated: with the rows u of the information at
-        their constants o, and the further variances v, ``u^T (1 + v u_o)^-1 v u`` is taken from the information.
-
-        Args:
-            noise: how they vary.
-            before: how they do here; not at all if None.
-            factor: times, since the images were `scaled` by it.
+        their constants o, and their variances v, ``u^T (1 + v u_o)^-1 v u`` is taken from the information.
         """
-        change = np.array([variance for _, variance in self.own_variances(noise).values()])
-        if before is not None:
-            here = self.own_variances(before).values()
-            change = change - factor**2 * np.array([variance for _, variance in here])
-        if not change.any():
+        variance = np.array([variance for _, variance in self.own_variances(noise).values()])[:, None]
+        if not variance.any():
             return self
-        own, change = slice(6, 6 + len(change)), change[:, None]
+        own = slice(6, 6 + len(variance))
         u, pull = self.rows[:, own], self.pull[:, own, None]
-        free = np.eye(len(change)) + change * u[:, :, self.traced[own]]
-        taken = np.linalg.solve(free, change * np.concatenate([u, pull], axis=2))
+        free = np.eye(len(variance)) + variance * u[:, :, self.traced[own]]
+        taken = np.linalg.solve(free, variance * np.concatenate([u, pull], axis=2))
+        rounding = np.where(self.cost > 1 / _ROUNDING, _ROUNDING * self.cost, -np.inf)
         of_traced, of_direct = u[:, :, self.traced].mT @ taken, self._summed(u[:, :, 6:], taken[:, :, 6:])
         return replace(
             self,
             rows=self.rows - of_traced[:, :, :-1],
             pull=self.pull - of_traced[:, :, -1],
-            cost=self.cost - np.sum(pull * taken[:, :, -1:], axis=(1, 2)),
+            cost=np.maximum(self.cost - np.sum(pull * taken[:, :, -1:], axis=(1, 2)), rounding),
             direct=self.direct - of_direct[:, :, :-1],
             gradient=self.gradient - of_direct[:, :, -1],
         )
@@ -230,12 +223,12 @@ def _stance_twists(stance: FloatArray) -> FloatArray:
 
 
 def linearize_views(
-    state: State, inliers: Inliers, noise: Noise, rates: FloatArray, group: IntArray, traced: Collection[int]
+    state: State, inliers: Inliers, rates: FloatArray, group: IntArray, traced: Collection[int]
 ) -> Views:
-    """Residuals and information of all stations' images, or of measured poses.
+    """Residuals and information of all stations' images, or of measured poses, for a noise level of one.
 
     Args:
-        state, inliers, noise: the point.
+        state, inliers: the point.
         rates: (C, N, 6) see `State.view_rates`.
         group: (N,) see `Views`.
         traced: further ones of (delta, direct constants) that are kept station by station.
@@ -248,7 +241,7 @@ def linearize_views(
     rows, pull, cost = (np.zeros((len(every), *shape)) for shape in ((len(kept), Q), (len(kept),), ()))
     information, gradient = np.zeros((count, Q, Q)), np.zeros((count, Q))
     for block in blocks_of(len(every)):
-        for columns, A, r in whitened_rows(state, inliers, noise, rates, every[block]):
+        for columns, A, r in whitened_rows(state, inliers, rates, every[block]):
             mine_of, at = (found[:, None] for found in np.nonzero(columns[:, None] == kept))
             of_kept = A[:, :, mine_of[:, 0]].mT
             rows[block, at, columns] += of_kept @ A
@@ -259,7 +252,7 @@ def linearize_views(
             groups, products = _by_group(group[block], A, r)
             gradient[groups[:, None], columns] += products[..., 0]
     by_base, by_own, by_board, by_shared = _pose_columns(state)
-    views = Views(
+    return Views(
         traced=kept,
         own=tuple(own.values()),
         rows=rows,
@@ -274,8 +267,7 @@ def linearize_views(
         by_shared=by_shared,
         log=data.log,
         columns=direct,
-    ).with_own(noise)
-    return replace(views, cost=np.maximum(views.cost, _ROUNDING * cost))
+    )
 
 
 def of_each_image(data: Dataset) -> dict[int, tuple[str, float]]:
@@ -291,9 +283,9 @@ def of_each_image(data: Dataset) -> dict[int, tuple[str, float]]:
 
 
 def whitened_rows(
-    state: State, inliers: Inliers, noise: Noise, rates: FloatArray, stations: IntArray
+    state: State, inliers: Inliers, rates: FloatArray, stations: IntArray
 ) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
-    """Whitened residuals of each camera at some stations, or of measured poses, 0 of what is not used.
+    """Residuals of each camera at some stations, or of measured poses, for a noise level of one; 0 of what is not used.
 
     Yields:
         (K,) on which of (delta, direct constants) they depend, (n, m, K) derivatives by these, and (n, m, 1) residuals.
@@ -301,12 +293,10 @@ def whitened_rows(
     data = state.data
     if data.posed:  # left twist from the measured to the predicted pose
         off = se3.log(state.T_c_k[stations] @ se3.inverse(data.T_c_k[stations]))
-        root = roots(data.pose_weight[stations])[0].mT / noise.pose_scale
-        root *= inliers.views[stations, None, None]
+        root = roots(data.pose_weight[stations])[0].mT * inliers.views[stations, None, None]
         yield np.arange(6), root @ _by_left_twist(off), root @ off[..., None]
         return
-    weight = np.where(inliers.used_corners[stations], 1 / noise.pixel_px, 0.0)
-    W = data.whitening[stations] * weight[..., None, None]
+    W = data.whitening[stations] * inliers.used_corners[stations][..., None, None]
     for k in range(len(data.cameras.each)):
         columns, effects = columns_of(data.layout.direct, k)
         residual, J = of_camera(state, k, state.T_c_k[stations], stations, rates[:, stations], effects)
