@@ -93,7 +93,7 @@ class NormalEquations:
         own_by_shared: (N, J + 3, P) derivative of the stations' own errors by the shared parameters, all else
             following.
         base_by_shared, board_by_shared: (N, B, P) and (logs, 6, P) those of the base blocks and of the boards.
-        own_by_base: (N, J + 3, B) derivative of the stations' own errors by the base block.
+        own_by_base: (N, J + 3, B) derivative of the stations' own errors by the base block, for a known board.
         own_by_board, base_by_board: (N, J + 3, 6) and (N, B, 6) by the board of the recording, all else following.
         own_covariance: (N, J + 3, J + 3) of the stations' own errors for a known rest.
         board_covariance: (logs, 6, 6) of the boards for known shared parameters.

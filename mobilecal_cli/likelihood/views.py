@@ -119,7 +119,7 @@ class Views:
         )
 
     def with_own(self, noise: Noise) -> Self:
-        """The same, which are alike from image to image, if constants vary as a noise says.
+        """The same where constants that are alike here vary from image to image as a noise says.
 
         Each image's own values are further unknowns, which are eliminated: with the rows u of the information at
         their constants o, and their variances v, ``u^T (1 + v u_o)^-1 v u`` is taken from the information.
