@@ -26,6 +26,11 @@ class MobilecalError(Exception):
         self.hint = hint
 
 
+def noting(hint: str, noted: Iterable[str]) -> str:
+    """A hint, and what was noted on the recording."""
+    return "; noted: ".join((hint, *noted))
+
+
 class ConfigError(MobilecalError, exit_code=2):
     """An unknown key, an invalid value or an unreadable file in the configuration or on the command line."""
 
@@ -44,11 +49,14 @@ class SolveError(MobilecalError, exit_code=5):
     Args:
         message, hint: see `MobilecalError`.
         explained: the message names the cause, so the hint needs no other.
+        noted: notes on the recording, without the last dot, that the hint ends with; `cure` is the hint without them.
     """
 
-    def __init__(self, message: str, hint: str = "", explained: bool = False) -> None:
-        super().__init__(message, hint)
-        self.explained = explained
+    def __init__(
+        self, message: str, hint: str = "", explained: bool = False, noted: Iterable[str] = ()
+    ) -> None:
+        self.cure, self.explained, self.noted = hint, explained, tuple(noted)
+        super().__init__(message, noting(hint, self.noted))
 
 
 class QualityError(MobilecalError, exit_code=6):

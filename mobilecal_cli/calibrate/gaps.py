@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from mobilecal_cli.errors import ObservationError, SolveError
+from mobilecal_cli.errors import ObservationError, SolveError, noting
 from mobilecal_cli.kinematics import FEWEST_LEGS, unseen_height
 from mobilecal_cli.model import Extraction
 from mobilecal_cli.report.motion import Gap, motion_gaps
@@ -39,7 +39,7 @@ def require_stations(extraction: Extraction) -> None:
         more = "stop at more places in front of the board"
         if reason == NO_READINGS:
             more = "check that joints and wheels are recorded as long as the images, with stamps of one clock"
-        cure = extraction.with_notes(more)
+        cure = noting(more, extraction.first_notes)
     ambiguous = sum(item.reason == AMBIGUOUS for item in extraction.rejections)
     if have < FEWEST_STATIONS <= have + ambiguous:
         cure = (

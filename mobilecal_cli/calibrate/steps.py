@@ -230,11 +230,9 @@ def fitted(
         cures = [*notes, *(gap.cure for gap in gaps)]
         if not cures:
             raise
-        hint = error.hint
-        for note in notes:
-            hint = hint.replace(f"; noted: {note}", "")
         message = "; ".join([error.message, *(gap.because for gap in gaps)])
-        raise SolveError(message, f"{'; '.join(cures)}; or {hint}") from error
+        others = [note for note in error.noted if note not in notes]
+        raise SolveError(message, f"{'; '.join(cures)}; or {error.cure}", noted=others) from error
     trial = None
     if rest is not None:
         nominal, offsets = extraction.rig.nominal.wheels, clock_offsets(solution)

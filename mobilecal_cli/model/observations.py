@@ -230,9 +230,10 @@ class Extraction:
         """Median distance from the first camera to the corners, m."""
         return float(np.median([np.linalg.norm(o.points_c, axis=-1).mean() for o in self.observations]))
 
-    def with_notes(self, hint: str) -> str:
-        """A hint, with the first notes on a recording that cannot be used."""
-        return "; noted: ".join([hint, *(note.removesuffix(".") for note in self.notes[:_NOTED])])
+    @property
+    def first_notes(self) -> tuple[str, ...]:
+        """Notes that the hint of an error repeats, each without its last dot."""
+        return tuple(note.removesuffix(".") for note in self.notes[:_NOTED])
 
     def of_log(self, log: int) -> Extraction:
         """The measurements of one log."""

@@ -355,10 +355,9 @@ def _refusal(extraction: Extraction, search: Search) -> SolveError | None:
         f"{'' if measured else of_images}. Tried: signs, sides, order and units of "
         "joints and wheels; late images, joints or wheels, if the robot stops; readings that stop, jump or "
         "change their scale; and readings of one joint or of the wheels that do not belong to the recording",
-        extraction.with_notes(
-            f"check that all {'poses and readings' if measured else 'topics'} belong to this drive and this robot, "
-            f"{'' if measured else 'camera_info, '}the head chain, and that neither the board nor a cable moved"
-        ),
+        f"check that all {'poses and readings' if measured else 'topics'} belong to this drive and this robot, "
+        f"{'' if measured else 'camera_info, '}the head chain, and that neither the board nor a cable moved",
+        noted=extraction.first_notes,
     )
 
 

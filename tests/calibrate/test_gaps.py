@@ -186,7 +186,7 @@ def test_a_cause_in_a_note_comes_first_and_once(monkeypatch):
     noted = replace(extraction("standard"), notes=("/wheels: log time is used", note))
 
     def refused(*_given, **_named):
-        raise SolveError("no known mistake explains it", noted.with_notes("check the topics"))
+        raise SolveError("no known mistake explains it", "check the topics", noted=noted.first_notes)
 
     monkeypatch.setattr("mobilecal_cli.calibrate.steps.solve_extraction", refused)
     with pytest.raises(SolveError) as caught:
