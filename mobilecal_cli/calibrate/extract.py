@@ -34,6 +34,7 @@ from mobilecal_cli.model import (
     ODOMETRY,
     STRING,
     TRANSFORMS,
+    UNUSED,
     Board,
     Corners,
     Extraction,
@@ -201,10 +202,10 @@ def _extracted(
             count = len({rejection.time_ns for rejection in lost})
             recording.note(f"{count} images cannot be decoded, such as one on {lost[0].detail}")
     any_board = any(isinstance(d, Detection) for station in stations for d in station.found.values())
-    if not any_board and config.board.columns is not None and board.markers is None:
+    if not any_board and board.markers is None:
         size = board_size(recording, rig, plans)
         if size is not None and set(size) != {board.columns, board.rows}:
-            raise other_size(board, size)
+            raise other_board(earlier[0].name, name, board, size) if earlier else other_size(board, size)
     chain_notes = [
         f"{capitalized(each.message)}. {capitalized(each.hint)}." for each in wrong_chain(survey, rig)
     ]
@@ -230,6 +231,15 @@ def other_size(board: Board, size: tuple[int, int]) -> ObservationError:
         f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
         f"{size[0]} x {size[1]}",
         f"set the board size with --board {size[0]}x{size[1]}, or board.columns and board.rows in rig.yaml",
+    )
+
+
+def other_board(first: str, name: str, board: Board, size: tuple[int, int]) -> ObservationError:
+    """The error for a recording that shows another board than the first one."""
+    return ObservationError(
+        f"the recordings show different boards: {first} one of {board.columns} x {board.rows} inner corners, "
+        f"{name} one of {size[0]} x {size[1]}",
+        "calibrate recordings of different boards separately",
     )
 
 
@@ -315,10 +325,7 @@ def _unused(name: str, measured: Sequence[Measured | Rejection]) -> tuple[str, .
     """A note if no station of a recording can be used: beside others, nothing else says so."""
     if any(isinstance(each, Measured) for each in measured):
         return ()
-    return (
-        f"{name}: nothing of this recording is used, as no station shows the board: check that it is of this robot "
-        "and this board",
-    )
+    return (f"{name}: {UNUSED}, as no station shows the board",)
 
 
 def _assembled(logs: Sequence[ExtractedLog], sources: Sequence[LogSource]) -> Extraction:

@@ -62,6 +62,7 @@ from mobilecal_cli.model.robot_description import (
     ODOMETRY,
     STRING,
     TRANSFORMS,
+    UNUSED,
     BoardView,
     NumberField,
     RobotDescription,

@@ -19,6 +19,8 @@ CAMERA_INFO_CHANGES = "the camera calibration changes"
 CHAIN_ENDS = "the head chain ends"
 #: In notes on recorded joints that may do so, by their names.
 CHAIN_LACKS = "was recorded, but is not a joint between"
+#: In notes on one of several recordings.
+UNUSED = "nothing of this recording is used"
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINT_STATE = "sensor_msgs/msg/JointState"
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -26,6 +26,7 @@ from mobilecal_cli.model import (
     NINE,
     NO_IMAGES,
     TURNS_AT_REST,
+    UNUSED,
     WHEEL_NOISE,
     ErrorPart,
     Evaluation,
@@ -396,12 +397,18 @@ _NOTED = {
         Metric("camera_info", section="description"), "changes of camera_info", "",
         "Record again with one camera calibration, or state the correct one in rig.yaml.",
     ),
+    UNUSED: (
+        Metric("unused", section="stations"), "recordings without a station", "",
+        "Leave it out, or record it again with the whole board in the images.",
+    ),
 }  # fmt: skip
 
 
 @criterion(*(metric for metric, *_ in _NOTED.values()), gated=False)
 def noted(case: Case, *_: Metric) -> Iterator[Check]:
-    """Warnings of what the recording's notes say: the estimate takes the first camera_info and any heading."""
+    """Warnings of what the recording's notes say: the estimate takes the first camera_info and any heading, and leaves
+    a recording out in which it sees no board.
+    """
     for part, (metric, name, meaning, cure) in _NOTED.items():
         notes = [note for note in case.extraction.notes if part in note]
         if notes:

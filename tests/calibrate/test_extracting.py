@@ -12,11 +12,13 @@ from mobilecal_cli.calibrate.extract import _other_cameras, describe, extract
 from mobilecal_cli.calibrate.inspect import inspect
 from mobilecal_cli.commands.init import draft
 from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError
-from mobilecal_cli.model import CAMERA_INFO_CHANGES, CHAIN_LACKS
+from mobilecal_cli.model import CAMERA_INFO_CHANGES, CHAIN_LACKS, UNUSED, Board
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.rig.config import UNCONFIGURED, load_rig
 from mobilecal_cli.rig.resolve import complete_rig
+from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.scenario import Scenario
 from tests.commands.edited import STORE, edited
 from tests.pairs import with_pair
 from tests.records import records_of, written
@@ -85,7 +87,7 @@ def test_a_note_on_one_of_several_recordings_names_it(sample_logs, tmp_path):
     extraction, _ = extract([sample_logs / "paper_robot.mcap", log], load_rig(None))
     said = "joint head_tilt_joint on /joint_states: one reading only; the joint counts as standing still"
     assert f"{log}: {said}" in extraction.notes
-    assert not any("nothing of this recording" in note for note in extraction.notes)
+    assert not any(UNUSED in note for note in extraction.notes)
 
 
 def test_a_recorded_joint_that_the_head_chain_lacks_is_noted(sample_logs):
@@ -110,7 +112,18 @@ def test_a_recording_of_which_nothing_is_used_is_named(sample_logs, tmp_path):
     log = edited(sample_logs / "head_fixed.mcap", tmp_path / "covered.mcap", covered)
     extraction, _ = extract([sample_logs / "paper_robot.mcap", log], load_rig(None))
     assert {o.log for o in extraction.observations} == {0}
-    assert [note for note in extraction.notes if note.startswith(f"{log}: nothing of this recording is used")]
+    assert [note for note in extraction.notes if note.startswith(f"{log}: {UNUSED}")]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_recordings_of_two_boards_are_refused(sample_logs, tmp_path, order):
+    """The first one's board was used, and the other recording left out with a note."""
+    simulate(Scenario(board=Board(7, 5, 0.09), stations=4, pictures_per_rest=1), tmp_path / "other.mcap")
+    logs = [sample_logs / "paper_robot.mcap", tmp_path / "other.mcap"][::order]
+    with pytest.raises(ObservationError) as caught:
+        extract(logs, load_rig(None))
+    (first, its), (other, size) = zip(logs, ("9 x 6", "7 x 5")[::order], strict=True)
+    assert f"{first} one of {its} inner corners, {other} one of {size}" in caught.value.message
 
 
 def test_damage_is_noted(sample_logs, tmp_path):

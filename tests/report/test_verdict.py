@@ -12,6 +12,7 @@ from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     CHAIN_ENDS,
     CHAIN_LACKS,
+    UNUSED,
     ErrorPart,
     EstimatedConstant,
     FixedLink,
@@ -420,9 +421,15 @@ def test_loose_head_joints(seed):
     assert "joint" in verdict.next_step
 
 
-def test_a_camera_info_that_changes_is_no_silent_pass():
+@pytest.mark.parametrize(
+    "note",
+    [
+        f"/left/camera_info: {CAMERA_INFO_CHANGES} 3.0 s after the start: K by up to 5 px",
+        f"b.mcap: {UNUSED}, as no station shows the board",
+    ],
+)
+def test_a_note_that_matters_is_no_silent_pass(note):
     solution, extraction = drawn()
-    note = f"/left/camera_info: {CAMERA_INFO_CHANGES} 3.0 s after the start: K by up to 5 px"
     verdict = judge(solution, replace(extraction, notes=(note,)))
     assert verdict.level == "PASS"
     assert f"Check first: {note}." in verdict.next_step
