@@ -46,6 +46,14 @@ def test_wheels_that_agree_are_averaged():
     assert notes == []
 
 
+def test_wheels_of_other_sizes_are_averaged_and_noted():
+    """One of 4.5 % less counted as a tire like the others, without a word."""
+    found, notes = averaged([LEFT, 0.955 * LEFT])
+    np.testing.assert_allclose(found["left"].value, 0.9775 * LEFT, atol=1e-9)
+    (note,) = notes
+    assert note.startswith("left 1 turns by 95.4 rad and left 0 by 99.9 rad, 4.7 % more")
+
+
 BROKEN = {
     "stands still": 0 * LEFT,
     "stops": np.where(SECONDS < 30, LEFT, LEFT[1500]),

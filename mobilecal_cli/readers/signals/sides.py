@@ -18,6 +18,8 @@ _DIFFER_RAD, _DIFFER_SHARE = 0.15, 0.1
 #: most wheels of a side disagree, one that slips or starts again once counts as one that agrees: the windows in which
 #: two wheels differ are left out of their rotation.
 _WINDOWS_SHARE, _TOTAL_SHARE = 0.1, 0.05
+#: Wheels that agree and differ by this share over all windows are noted.
+_NOTED_SHARE = 0.03
 #: A wheel that turns by less than this share of the others' rotation stands still.
 _STILL_SHARE = 0.01
 #: Share of the windows in which the opposite side turns too: that side says that the robot moves.
@@ -144,6 +146,13 @@ def _kept(
         for a, b in itertools.combinations(kept, 2)
         if not agree[a, b]
     )
+    least, most = min(kept, key=lambda k: total[k]), max(kept, key=lambda k: total[k])
+    if agree[least, most] and total[least] < (1 - _NOTED_SHARE) * total[most]:
+        notes.append(
+            f"{names[least]} turns by {total[least]:.1f} rad and {names[most]} by {total[most]:.1f} rad, "
+            f"{100 * (total[most] / total[least] - 1):.1f} % more (other tires, or another resolution?); their mean is "
+            "used"
+        )
     usual = float(np.median(total[list(kept)]))
     for k in every:
         if k not in kept:
