@@ -615,29 +615,66 @@ def _nominal_cure(name: str, ratios: Mapping[str, float], case: Case) -> str:
     return f"Measure the wheel with a ruler. If it is as stated, check {', and '.join(causes)}."
 
 
-_IN_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # optical axes: x right, z forward
+#: Axes of an optical frame (x right, z forward) in those of the camera's body (x forward, z up).
+_IN_BODY = se3.transform(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+_BODY = "the pose of the camera's body frame (x forward)"
+#: What a stated pose of the camera in the head may be instead → the pose that is meant.
+_CONVENTIONS: Mapping[str, Callable[[FloatArray], FloatArray]] = {
+    _BODY: lambda T: T @ _IN_BODY,
+    "the inverse, the pose of the head in the camera": se3.inverse,
+    "the pose of the head in the camera's body frame (x forward)": lambda T: se3.inverse(T) @ _IN_BODY,
+}
 
 
-@criterion(Metric("nominal.frame", "degrees"), gated=False)
-def camera_frame(case: Case, metric: Metric) -> Iterator[Check]:
-    """Whether the frame that the images carry is drawn as that of the camera's body (x forward), not as optical."""
-    rig, R = case.extraction.rig, case.solution.T_h_reference[:3, :3]
-    if rig.nominal.T_h_reference is None or case.extraction.measured:
+@criterion(Metric("nominal.head_eye", "sigma"), gated=False)
+def nominal_pose(case: Case, metric: Metric) -> Iterator[Check]:
+    """A nominal pose of the camera that is no rough value of the result, and the convention that would explain it.
+
+    What the recording does not show is taken from it.
+    """
+    rig, pose, limit = case.extraction.rig, case.solution.T_h_reference, 3.0
+    stated, head, frame = rig.nominal.T_h_reference, rig.chain.head_frame, rig.cameras.of_reference.frame_id
+    if stated is None or case.extraction.measured:
         return
-    drawn = rig.nominal.T_h_reference[:3, :3]
-    as_is, as_body = (
-        math.degrees(float(np.linalg.norm(se3.log_so3(of.T @ R)))) for of in (drawn, drawn @ _IN_BODY)
-    )
-    if as_body > as_is / 3:
+
+    def apart(T: FloatArray) -> tuple[float, FloatArray]:
+        """In standard deviations of nominal poses; and rotation and distance, (2,) rad and m."""
+        by = np.linalg.norm([se3.log_so3(T[:3, :3].T @ pose[:3, :3]), T[:3, 3] - pose[:3, 3]], axis=1)
+        return float(np.linalg.norm(by / nuisance.NINE_SIGMAS[[0, 3]])), by
+
+    sigmas, (angle_rad, distance_m) = apart(stated)
+    if sigmas <= limit:
         return
-    frame = rig.cameras.of_reference.frame_id
+    by = f"by {math.degrees(angle_rad):.0f} degrees and {1e3 * distance_m:.0f} mm"
+    others = {said: apart(meant(stated))[0] for said, meant in _CONVENTIONS.items()}
+    likely = min(others, key=lambda said: others[said])
+    if others[likely] > sigmas / 3:
+        likely = ""
+    why = f"The pose of the camera differs from nominal.head_eye {by}."
+    cure = f"State the pose of {frame}, the optical frame (x right, z forward), in {head}."
+    if rig.setting_sources.get("nominal head_eye") == "URDF":
+        why = f"The pose of the camera differs from that of {frame} in the URDF {by}."
+        cure = f"Check that the images are of the frame {frame}, and its pose in {head}."
+        if likely == _BODY:
+            why = (
+                f"The frame_id of the images, {frame}, is a body frame in the URDF (x forward), but the pose is that "
+                "of the optical frame (z forward)."
+            )
+            cure = (
+                "Set the frame_id of the camera's driver to its optical frame, before you use an exported "
+                "description."
+            )
+    elif likely:
+        why = f"nominal.head_eye looks like {likely}: it differs from the result {by}."
     yield metric.check(
-        as_is, 0.0, "axes of the camera's frame",
-        "Set the frame_id of the camera's driver to its optical frame, before you use an exported description.",
-        why=f"The frame_id of the images, {frame}, is a body frame in the URDF (x forward), but the pose is that of "
-        "the optical frame (z forward).",
+        sigmas,
+        limit,
+        "nominal pose of the camera",
+        visible(cure),
+        measured=by,
+        why=visible(why),
         beyond="warning",
-    )  # fmt: skip
+    )
 
 
 @criterion(Metric("stereo_error", "px", section="description"))

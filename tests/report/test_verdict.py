@@ -316,15 +316,40 @@ def test_a_head_chain_that_ends_before_a_joint_is_the_cause_of_noise(floor_deg, 
     )
 
 
-@pytest.mark.parametrize(("body", "warned"), [(True, True), (False, False)])
-def test_a_body_frame_in_the_images_is_a_warning(solution, extraction, body, warned):
-    """Exports then drew the camera's children turned by 120 degrees, without a word."""
-    seen = solution.parameters.T_h_c @ solution.cameras.T_c_reference @ se3.exp(np.full(6, 0.02))
-    optical_in_body = se3.transform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
-    drawn_frame = seen @ se3.inverse(optical_in_body) if body else seen
-    verdict = judge(solution, with_nominal(extraction, Nominal(drawn_frame, WHEELS)))
-    assert ("is a body frame in the URDF" in verdict.next_step) == warned
+OPTICAL_IN_BODY = se3.transform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
+URDF = {"nominal head_eye": "URDF"}
+
+
+@pytest.mark.parametrize(
+    ("stated", "sources", "said"),
+    [
+        (lambda T: T, {}, None),
+        (lambda T: T, URDF, None),
+        (
+            lambda T: T @ se3.exp(np.array([0, 0, 0, 0, 0, 0.5])),
+            {},
+            "differs from nominal.head_eye by 2 degrees and",
+        ),
+        (
+            lambda T: T @ se3.exp(np.array([2.06, 0, 0, 0, 0, 0])),
+            {},
+            "differs from nominal.head_eye by 119 degrees",
+        ),
+        (lambda T: T @ se3.exp(np.array([2.06, 0, 0, 0, 0, 0])), URDF, "in the URDF by 119 degrees"),
+        (se3.inverse, {}, "nominal.head_eye looks like the inverse, the pose of the head in the camera"),
+        (lambda T: T @ se3.inverse(OPTICAL_IN_BODY), {}, "looks like the pose of the camera's body frame"),
+        (lambda T: OPTICAL_IN_BODY @ se3.inverse(T), {}, "the pose of the head in the camera's body frame"),
+        (lambda T: T @ se3.inverse(OPTICAL_IN_BODY), URDF, "is a body frame in the URDF (x forward)"),
+    ],
+)
+def test_a_nominal_pose_far_from_the_result_is_a_warning(solution, extraction, stated, sources, said):
+    """Of a pose that was off by 118 degrees or half a meter, nothing was said."""
+    nominal = Nominal(stated(solution.T_h_reference @ se3.exp(np.full(6, 0.02))), WHEELS)
+    rig = replace(extraction.rig, nominal=nominal, setting_sources=sources)
+    verdict = judge(solution, replace(extraction, rig=rig))
     assert verdict.level == "PASS"
+    assert ("Check first" in verdict.next_step) == (said is not None)
+    assert (said or "") in verdict.next_step
 
 
 def jump(part, extraction, shift_sigmas=40.0, turn_rad=0.0, move_m=0.012):
