@@ -1,5 +1,6 @@
 """Damaged files: what is whole is used and counted, and only RecordingError escapes."""
 
+import re
 import shutil
 import sqlite3
 import struct
@@ -203,6 +204,18 @@ def test_nothing_named_missing_and_empty_directory_are_refused(tmp_path):
     path = r.in_sqlite(tmp_path / "photos.db", "CREATE TABLE albums (id INTEGER)")
     with pytest.raises(RecordingError, match="not a rosbag2 recording"):
         open_recording([path])
+
+
+def test_an_unreadable_file_in_a_directory_is_named(tmp_path):
+    """The directory was read as if it were not there."""
+    path = tmp_path / "a_0.mcap"
+    path.write_bytes(b"")
+    said = f"{path}: not a recording, or empty; it is skipped"
+    with pytest.raises(RecordingError, match=f"no recording in this directory; {re.escape(said)}"):
+        open_recording([tmp_path])
+    r.write_mcap(tmp_path / "a_1.mcap", ITEMS)
+    with open_recording([tmp_path]) as recording:
+        assert recording.damage == (said,)
 
 
 def test_a_chunk_that_states_times_beyond_64_bits_is_read(originals, tmp_path):

@@ -90,7 +90,11 @@ def _add_directory(recording: Recording, folder: Path) -> None:
     entries = sorted(folder.iterdir())
     inside = [f"{path.name}/" for path in entries if path.is_dir() and looks_recorded(path)]
     # The player unpacks a compressed file next to it.
-    files = [p for p in entries if _unpacked(p.name) not in names and recognised(p)]
+    others = [path for path in entries if _unpacked(path.name) not in names]
+    files = [path for path in others if recognised(path)]
+    for path in others:
+        if path.suffix in SUFFIXES and path not in files and path.is_file():
+            recording.note(f"{path}: not a recording, or empty; it is skipped")
     if listed:
         if files or inside:
             raise _several(folder, [", ".join(p.name for p in listed), *(p.name for p in files), *inside])
@@ -102,7 +106,9 @@ def _add_directory(recording: Recording, folder: Path) -> None:
                 recording.note(f"{error.message}; this part is skipped")
         return
     if not files and not inside:
-        raise RecordingError(f"{folder}: no recording in this directory", KNOWN)
+        raise RecordingError(
+            "; ".join((f"{folder}: no recording in this directory", *recording.damage)), KNOWN
+        )
     storages = [_opened(recording, path) for path in files]
     groups = [", ".join(storages[i].path.name for i in group) for group in group_splits(storages)]
     if len(groups) > 1 or inside:
