@@ -6,7 +6,7 @@ import os
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ import typer
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.commands.options import written_line
+from mobilecal_cli.errors import ConfigError
 
 if TYPE_CHECKING:
     from mobilecal_cli.rig.draft import Draft
@@ -60,26 +61,43 @@ def init(
 def draft(
     logs: Sequence[Path], urdf: Path | None = None, beside: Path | None = None, progress: Progress = silent
 ) -> Draft:
-    """Commented draft of rig.yaml for a recording.
+    """Commented draft of rig.yaml; from the most complete one of several recordings.
 
     Args:
-        logs: parts of one recording.
+        logs: recordings of one robot.
         urdf: URDF file to use in place of the one in the recording.
         beside: directory of the rig.yaml, which the path of the URDF is relative to; the working directory by default.
 
     Raises:
-        RecordingError: the recording cannot be read.
-        ConfigError: the URDF cannot be read, or two paths have the same content.
+        RecordingError: a recording cannot be read.
+        ConfigError: the URDF cannot be read, two paths have the same content, or the recordings are of two robots.
     """
-    from mobilecal_cli.calibrate.extract import describe
     from mobilecal_cli.calibrate.inspect import recordings
+
+    drafts = {parts[0]: _draft(parts, urdf, beside, progress) for parts in recordings(logs)}
+    (first, its), *others = drafts.items()
+    for log, other in others:
+        for one, another in product(its.filled, other.filled):
+            # Whether a counter starts again, and so has bits, is not in each recording.
+            if one.key == another.key and one.value.split(", bits")[0] != another.value.split(", bits")[0]:
+                raise ConfigError(
+                    f"{first} and {log} need different configurations: {one.key} is {one.value} in one, and "
+                    f"{another.value} in the other",
+                    "draft a configuration for each robot, and for each board",
+                )
+    return min(drafts.values(), key=lambda each: len(each.todo))
+
+
+def _draft(parts: Sequence[Path], urdf: Path | None, beside: Path | None, progress: Progress) -> Draft:
+    """The draft from one recording, see `draft`."""
+    from mobilecal_cli.calibrate.extract import describe
     from mobilecal_cli.calibrate.sample import sample_board
     from mobilecal_cli.readers import open_recording
     from mobilecal_cli.rig.config import load_rig
     from mobilecal_cli.rig.draft import draft_rig
 
     config = load_rig(None, {"head.urdf": urdf})
-    with open_recording(list(chain(*recordings(logs)))) as recording:
+    with open_recording(parts) as recording:
         progress("topics", 0, None)
         survey = describe(recording, config, joints_too=True)
         board = None
@@ -88,7 +106,7 @@ def draft(
             board, _ = sample_board(recording, survey)
         made = draft_rig(
             survey,
-            logs[0].name,
+            parts[0].name,
             urdf_path=None if urdf is None else os.path.relpath(urdf, beside or Path()),
             board=board,
         )

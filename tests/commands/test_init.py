@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pytest
 
 from mobilecal_cli.calibrate import inspect
 from mobilecal_cli.commands.init import draft
+from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from tests.command import run
 from tests.commands.edited import edited
@@ -45,6 +47,15 @@ def test_standard_output_holds_the_file_alone(sample_logs, tmp_path):
     assert done.out.startswith("# rig.yaml for mobilecal")
     assert done.err.startswith("Filled in\n")
     assert_golden(done.err, "init")
+
+
+def test_recordings_of_two_robots_are_refused(sample_logs, few):
+    """The draft was that of a robot with the topics of both."""
+    logs = [sample_logs / "paper_robot.mcap", sample_logs / "tick_robot.mcap"]
+    with pytest.raises(ConfigError, match=r"tick_robot\.mcap need different configurations: wheels\.left is"):
+        draft(logs)
+    one = [sample_logs / "paper_robot.mcap", sample_logs / "straight.mcap"]
+    assert (draft(one).notes, draft(one).text.splitlines()[1:]) == ((), draft(one[:1]).text.splitlines()[1:])
 
 
 def test_a_board_that_the_image_cuts_off_is_no_other_board(sample_logs, tmp_path):
