@@ -122,10 +122,13 @@ class BoardConfig(_Section):
                     raise ValueError(
                         f"{key} applies only to boards with markers: set kind to charuco or aprilgrid"
                     )
-            if min(self.columns or 3, self.rows or 3) < 3:
-                raise ValueError("board.columns and board.rows of a checkerboard must be 3 or more")
             if (self.columns is None) != (self.rows is None):
                 raise ValueError("give both columns and rows")
+            if min(self.columns or 3, self.rows or 3) < 3:
+                raise ValueError(
+                    "3 or more columns and rows of inner corners are needed to find a checkerboard "
+                    f"(got {self.columns} x {self.rows}): use a larger one"
+                )
             return self
         needed = {"charuco": ("dictionary", "marker_share"), "aprilgrid": ("gap_share",)}[self.kind]
         for key in ("columns", "rows", *needed):
@@ -522,6 +525,12 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
         hint = "check the path of the configuration; for check it comes first, before the recordings"
         text = read_text(path, LARGEST_BYTES, hint, "rig.yaml")
         data = mapping_of(text, str(path), "compare with the draft that mobilecal init LOG writes")
+        if {"head_eye", "provenance"} <= data.keys():
+            raise ConfigError(
+                f"{path}: a params.yaml, the result of a calibration; a rig.yaml is expected, the configuration",
+                "give the rig.yaml of this robot, or draft one with mobilecal init LOG; calibrate --last compares with "
+                "an earlier result",
+            )
     given = {key: value for key, value in (flags or {}).items() if value is not None}
     for key, value in given.items():
         section, _, name = key.partition(".")  # names of gates contain dots

@@ -69,7 +69,8 @@ def _edge_px(grid: FloatArray, pixels: FloatArray) -> float:
 def readable_words(board: Board | None) -> str:
     """What must be how large in an image for the board to be found, for messages; None: any checkerboard."""
     if board is None or board.markers is None:
-        return f"squares of {MIN_EDGE_PX:.0f} pixels or more"
+        squares = f"squares of {MIN_EDGE_PX:.0f} pixels or more"
+        return squares if board is not None else f"3 x 3 inner corners or more and {squares}"
     markers = board.markers
     side = _READ_PX * _cells(markers)
     return f"markers of {side} pixels or more, and check that board.dictionary ({markers.dictionary}) matches the board"

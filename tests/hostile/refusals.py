@@ -306,6 +306,7 @@ CASES = (
     Case("an unknown command", ("calibrat", LOG), 2, "error: no such command 'calibrat'. Did you mean 'calibrate'?"),
     Case("no recording", ("calibrate",), 2, "error: missing argument 'logs'"),
     Case("a recording as the configuration", ("calibrate", LOG, "--config", LOG), 2, ": a recording, not a rig.yaml"),
+    Case("a result as the configuration", ("calibrate", LOG, "--config", "params.yaml"), 2, "params.yaml: a params.yaml, the result of a calibration; a rig.yaml is expected", text("params.yaml", "head_eye: {}\nprovenance: {}\n")),
     Case("`evaluate` with swapped arguments", ("evaluate", "params.yaml", LOG), 2, ": a recording, not a params.yaml"),
     Case("`compare` with a recording", ("compare", LOG, LOG), 2, ": a recording, not a params.yaml"),
     Case("`export` of a directory", ("export", ".", "--to", "json"), 2, ".: a directory, not a params.yaml"),

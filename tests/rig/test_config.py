@@ -80,6 +80,7 @@ def test_flags_lie_over_the_file(write):
     "case",
     [
         ("bord: {columns: 9}", "bord: unknown key", "did you mean board?"),
+        ("head_eye: {}\nprovenance: {}", "a params.yaml, the result of a calibration", "give the rig.yaml"),
         ("board: {column: 9, rows: 6}", "board.column: unknown key", "did you mean columns?"),
         ("wheels: {left: {ticks_per_rev: 3}}", "unknown key", "did you mean ticks_per_revolution?"),
         (
@@ -89,7 +90,7 @@ def test_flags_lie_over_the_file(write):
         ),
         ("zzzzqq: 1", "zzzzqq: unknown key", "known keys: schema_version, board"),
         ("board: {columns: 9}", "give both columns and rows"),
-        ("board: {columns: 2, rows: 6}", "board.columns"),
+        ("board: {columns: 2, rows: 6}", "find a checkerboard (got 2 x 6): use a larger one"),
         ("schema_version: 2", "schema_version"),
         ("cameras: {reference: middle}", "cameras.reference"),
         ("cameras: {joints: {image: /a}}", "cannot name a camera"),
