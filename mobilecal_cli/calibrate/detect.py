@@ -19,6 +19,7 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.workers import FAILED, answer, processes, resources
 from mobilecal_cli.errors import ObservationError, RecordingError
 from mobilecal_cli.model import (
+    DEPTH_IMAGE,
     Board,
     CameraInfo,
     CameraRig,
@@ -199,10 +200,10 @@ def several_sizes(vote: SizeVote) -> ObservationError:
 
 def undecodable(rejections: Sequence[Rejection]) -> RecordingError:
     """The error for images of which none can be decoded."""
-    return RecordingError(
-        f"none of {len(rejections)} images can be decoded: {rejections[0].detail}",
-        "record JPEG or PNG images, or raw ones (sensor_msgs/Image)",
-    )
+    cure = "record JPEG or PNG images, or raw ones (sensor_msgs/Image)"
+    if DEPTH_IMAGE in rejections[0].detail:
+        cure = "set cameras in rig.yaml to the topics of the gray or color images"
+    return RecordingError(f"none of {len(rejections)} images can be decoded: {rejections[0].detail}", cure)
 
 
 def segments_of(plan: Plan, thorough: bool) -> list[Segment]:

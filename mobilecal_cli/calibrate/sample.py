@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mobilecal_cli.calibrate.detect import check_picture, several_sizes
+from mobilecal_cli.calibrate.detect import check_picture, several_sizes, undecodable
 from mobilecal_cli.calibrate.extract import OF_MARKERS, other_size
 from mobilecal_cli.errors import ObservationError, QualityError, RecordingError
 from mobilecal_cli.model import Board, BoardView, CameraRig, GrayImage, Rejection, Sources, Station
@@ -54,9 +54,8 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
     readable = [image for some in samples.values() for image in some if not isinstance(image, Rejection)]
     if not readable:
         broken = [image for some in samples.values() for image in some if isinstance(image, Rejection)]
-        why = f": {broken[0].detail}" if broken else ""
-        error = ObservationError(f"no image can be read{why}", "record the cameras' images")
-        return None, [Finding.of("cameras", error)]
+        none = RecordingError("the recording contains no image", "record the cameras' images")
+        return None, [Finding.of("cameras", undecodable(broken) if broken else none)]
     findings: list[Finding] = []
     for name, some in samples.items() if cameras is not None else ():
         first = next((image for image in some if not isinstance(image, Rejection)), None)

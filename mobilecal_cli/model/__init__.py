@@ -70,6 +70,7 @@ from mobilecal_cli.model.robot_description import (
 )
 from mobilecal_cli.model.signals import (
     CLOCK_STEPS,
+    DEPTH_IMAGE,
     FEW_READINGS,
     NO_IMAGES,
     TURNS_AT_REST,

@@ -115,6 +115,8 @@ class PictureIndex(ReadOnly):
 
 #: Begin of a note on cameras that recorded nothing while the robot moved.
 NO_IMAGES = "No images for"
+#: In messages on images that cannot be decoded.
+DEPTH_IMAGE = "a depth or disparity image, not one of a camera"
 #: Part of a note on joints or wheels that are published too slowly.
 FEW_READINGS = "too few readings per second"
 #: Part of a note on stamps of one topic.

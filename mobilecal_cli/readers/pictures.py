@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import GrayImage, PictureIndex, Rejection, Sources, StereoLayout
+from mobilecal_cli.model import DEPTH_IMAGE, GrayImage, PictureIndex, Rejection, Sources, StereoLayout
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, codec_of, stamp_of
@@ -168,6 +168,9 @@ _BEGIN = 12  # bytes of an image that name its format, as RIFF....WEBP
 #: The encoding of the original image, which compressed_image_transport states before its own: "bayer_rggb8; png".
 _BAYER_FORMAT = re.compile(r"\s*(bayer_\w+?)\s*;")
 
+#: Encodings of distances and disparities: floats, and whole numbers with a sign.
+_OF_DEPTH = re.compile(r"\s*(16S|32S|32F|64F)C", re.IGNORECASE)
+
 Pixels = NDArray[Any]
 
 
@@ -296,7 +299,8 @@ def _raw(message: Decoded) -> tuple[Pixels, int | None]:
     """View of an image's pixels that respects step and byte order, and their conversion to gray."""
     encoding = _ENCODINGS.get(str(message.encoding).strip().lower())
     if encoding is None:
-        raise RecordingError(f"unknown image encoding {message.encoding!r}")
+        of = f": {DEPTH_IMAGE}" if _OF_DEPTH.match(str(message.encoding)) else ""
+        raise RecordingError(f"unknown image encoding {message.encoding!r}{of}")
     height, width = int(message.height), int(message.width)
     data = np.frombuffer(message.data, dtype=np.uint8)
     row = width * encoding.channels * encoding.depth

@@ -11,6 +11,7 @@ import pytest
 from mobilecal_cli.calibrate import detect as detecting
 from mobilecal_cli.calibrate import workers as processes
 from mobilecal_cli.calibrate.extract import describe, extract
+from mobilecal_cli.calibrate.inspect import inspect
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.export.extraction import THUMBNAILS
 from mobilecal_cli.model import Board, PictureIndex, Shot, Station, Track, WheelTrack
@@ -50,6 +51,23 @@ def test_segments_hold_all_stations_in_order():
     assert len(many[0].shown) <= detecting.SNAPSHOTS
     segments = detecting.segments_of(plan([station(0, 1), station(1, 600), station(2, 1)]), True)
     assert [len(segment.stations) for segment in segments] == [1, 1, 1]
+
+
+def test_depth_images_are_no_images_of_a_camera(tmp_path, few):
+    """The hint was to record raw images, which these are; `check` ended with another code than `calibrate`."""
+    simulate(Scenario(stations=4, pictures="mono8", pictures_per_rest=1), tmp_path / "log.mcap")
+    depth = edited(
+        tmp_path / "log.mcap",
+        tmp_path / "depth.mcap",
+        lambda topic, message: replace(message, encoding="32FC1") if "image" in topic else message,
+    )
+    with pytest.raises(
+        RecordingError, match="unknown image encoding '32FC1': a depth or disparity"
+    ) as caught:
+        extract([depth], UNCONFIGURED)
+    assert caught.value.hint == "set cameras in rig.yaml to the topics of the gray or color images"
+    (of_cameras,) = (each for each in inspect([depth]).findings if each.about == "cameras")
+    assert (of_cameras.exit_code, of_cameras.cure) == (caught.value.exit_code, caught.value.hint)
 
 
 @pytest.fixture(scope="module")

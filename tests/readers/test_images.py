@@ -156,6 +156,7 @@ def test_compressed(extension, pixels):
         ({"width": 0}, "invalid image size"),
         ({"width": 2**32 - 1, "height": 2**32 - 1}, "invalid image size"),
         ({"encoding": "yuv999"}, "unknown image encoding 'yuv999'"),
+        ({"encoding": "32FC1"}, "unknown image encoding '32FC1': a depth or disparity image"),
         ({"encoding": "nv12"}, "size 64x48 nv12 with 64 bytes per row does not match its 3072 bytes"),
         ({"encoding": "rgb8"}, "does not match"),
     ],
