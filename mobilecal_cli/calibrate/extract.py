@@ -47,7 +47,7 @@ from mobilecal_cli.model import (
     Track,
     WheelTrack,
 )
-from mobilecal_cli.model.text import capitalized
+from mobilecal_cli.model.text import capitalized, listed
 from mobilecal_cli.readers import (
     Recording,
     choose_topics,
@@ -133,14 +133,17 @@ def wrong_chain(survey: Survey, rig: Rig) -> Iterator[SolveError]:
             f"joint {name!r} is in head.chain {links[name]} times",
             "delete the repeated link, unless the mechanism moves both by the same reading",
         )
-    ends = f"{rig.chain.base_frame} and {rig.chain.head_frame}"
-    for name in outside_chain(rig.chain, survey.description):
-        if not any(f"Joint {name} " in note and CHAIN_ENDS in note for note in survey.notes):
-            yield SolveError(
-                f"{name!r} was recorded, but is not a joint between {ends}",  # CHAIN_LACKS
-                "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the "
-                "cameras",
-            )
+    outside = [
+        repr(name)
+        for name in outside_chain(rig.chain, survey.description)
+        if not any(f"Joint {name} " in note and CHAIN_ENDS in note for note in survey.notes)
+    ]
+    if outside:
+        ends = f"from {rig.chain.base_frame} to {rig.chain.head_frame}"
+        yield SolveError(
+            f"{listed(outside)}: recorded, but not in the head chain {ends}",  # CHAIN_LACKS
+            "set head.head_frame to the link that carries the cameras, or add to head.chain what moves them",
+        )
 
 
 #: Relative difference of camera infos that is rounding.

@@ -18,7 +18,7 @@ CAMERA_INFO_CHANGES = "the camera calibration changes"
 #: In notes on joints that move the camera beside the head chain.
 CHAIN_ENDS = "the head chain ends"
 #: In notes on recorded joints that may do so, by their names.
-CHAIN_LACKS = "was recorded, but is not a joint between"
+CHAIN_LACKS = "recorded, but not in the head chain from"
 #: In notes on one of several recordings.
 UNUSED = "nothing of this recording is used"
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.calibrate.detect import plan_recording
-from mobilecal_cli.calibrate.extract import _other_cameras, describe, extract
+from mobilecal_cli.calibrate.extract import _other_cameras, describe, extract, wrong_chain
 from mobilecal_cli.calibrate.inspect import inspect
 from mobilecal_cli.commands.init import draft
 from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError
@@ -98,7 +98,15 @@ def test_a_recorded_joint_that_the_head_chain_lacks_is_noted(sample_logs):
     )
     extraction, _ = extract([sample_logs / "straight.mcap"], config)
     (note,) = (note for note in extraction.notes if CHAIN_LACKS in note)
-    assert note.startswith(f"'head_tilt_joint' {CHAIN_LACKS} base_link and pan_link. Set head.head_frame to")
+    assert note.startswith(f"'head_tilt_joint': {CHAIN_LACKS} base_link to pan_link. Set head.head_frame to")
+
+
+def test_joints_that_the_chain_lacks_are_named_together(sample_logs):
+    """The hint had the same two sentences for each of them."""
+    with open_recording([sample_logs / "straight.mcap"]) as recording:
+        survey = describe(recording, load_rig(None, {"head.head_frame": "base_link"}))
+    (error,) = wrong_chain(survey, complete_rig(survey))
+    assert error.message.startswith("'head_pan_joint', 'head_tilt_joint': recorded, but not in")
 
 
 def test_a_recording_of_which_nothing_is_used_is_named(sample_logs, tmp_path):

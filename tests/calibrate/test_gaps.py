@@ -152,7 +152,7 @@ def test_few_stations_are_cured_by_what_most_were_rejected_for(stage, reason, cu
     [
         "wheels: too few readings per second (1, at least 8 needed). Publish them faster.",
         "/joint_states: the clock steps back by up to 0.030 s; 2 of 4500 samples are out of order and dropped.",
-        "'tilt' was recorded, but is not a joint between base_link and pan_link. Set head.head_frame.",
+        "'tilt': recorded, but not in the head chain from base_link to pan_link. Set head.head_frame.",
     ],
 )
 def test_a_refusal_names_what_the_recording_notes(note):
@@ -182,7 +182,7 @@ def test_a_known_mistake_needs_no_other_cure(monkeypatch):
 
 def test_a_cause_in_a_note_comes_first_and_once(monkeypatch):
     """The tilt joint left out: "no known mistake explains it", and `check` named it."""
-    note = "'tilt' was recorded, but is not a joint between base_link and base_link. Set head.head_frame."
+    note = "'tilt': recorded, but not in the head chain from base_link to base_link. Set head.head_frame."
     noted = replace(extraction("standard"), notes=("/wheels: log time is used", note))
 
     def refused(*_given, **_named):

@@ -179,7 +179,12 @@ LENGTHS = {"baseline_length": "free", "joint_position": "free"}
 TURNS = {"joint_axis": "free", "joint_zero": "free"}
 FOUND = {
     "a joint twice": (CHAIN, "head chain", "limit", "joint 'head_pan_joint' is in head.chain 2 times"),
-    "a missing tilt": (CHAIN, "head chain", "limit", "'head_tilt_joint' was recorded, but is not a joint"),
+    "a missing tilt": (
+        CHAIN,
+        "head chain",
+        "limit",
+        "'head_tilt_joint': recorded, but not in the head chain",
+    ),
     "free priors": ({"priors": {"all": "free"}}, "priors", "limit", "r_x, r_y, r_z: unobservable"),
     "free axes": ({"priors": TURNS}, "priors", "limit", "axes and zero positions of the head joints are all"),
     "free lengths": (

@@ -299,7 +299,7 @@ def test_priors_that_keep_wrong_cameras_are_named(times, cameras_fixed, stated, 
 
 
 @pytest.mark.parametrize(
-    "of", [f"moves the camera, but {CHAIN_ENDS} before it, at", f"{CHAIN_LACKS} base_link and"]
+    "of", [f"moves the camera, but {CHAIN_ENDS} before it, at", f"{CHAIN_LACKS} base_link to"]
 )
 @pytest.mark.parametrize(("floor_deg", "level"), [(0.1, "PASS"), (4.0, "FAIL")])
 def test_a_head_chain_that_ends_before_a_joint_is_the_cause_of_noise(floor_deg, level, of):
