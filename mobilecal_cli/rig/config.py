@@ -522,7 +522,7 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     """
     data: dict[str, Any] = {}
     if path is not None:
-        hint = "check the path of the configuration; the order of arguments is: mobilecal check rig.yaml LOG"
+        hint = "check the path of the configuration; check takes it first: mobilecal check rig.yaml LOG"
         text = read_text(path, LARGEST_BYTES, hint, "rig.yaml")
         data = mapping_of(text, str(path), "compare with the draft that mobilecal init LOG writes")
         if {"head_eye", "provenance"} <= data.keys():

@@ -24,7 +24,10 @@ CONTAINERS: dict[bytes, Callable[[Path], Storage]] = {
 }
 #: Suffixes of recorded files.
 SUFFIXES = frozenset({".mcap", ".bag", ".db3", ".zstd", ".zst"})
-KNOWN = "mobilecal reads MCAP files, rosbag2 directories and .db3 files, and ROS 1 bags (format 2.0)"
+KNOWN = (
+    "mobilecal reads MCAP files, rosbag2 directories and .db3 files, and ROS 1 bags (format 2.0); calibrate, evaluate "
+    "and suggest also an extraction.npz"
+)
 
 
 def open_recording(paths: Sequence[Path]) -> Recording:
