@@ -423,7 +423,8 @@ def refuse_equal_recordings(extraction: Extraction, names: Sequence[str]) -> Non
             refuse_same(names[i], names[j], "wheel and joint readings")
         at = {o.time_ns: o.views for o in by_log[i]}
         pairs = [(at[o.time_ns], o.views) for o in by_log[j] if o.time_ns in at]
-        if any(len(first) == len(other) and all(map(_same_corners, first, other)) for first, other in pairs):
+        same = sum(len(a) == len(b) and all(map(_same_corners, a, b)) for a, b in pairs)
+        if same > 1:  # simulations of one seed begin with the same image
             refuse_same(names[i], names[j], "images")
 
 

@@ -48,6 +48,12 @@ def test_equal_readings():
         assert refused(joined(a, b)) == said
 
 
+def test_simulations_that_begin_with_the_same_image_are_not_the_same(sample_logs):
+    """Two of the samples were "the same recording"."""
+    extraction, _ = extract([sample_logs / "paper_robot.mcap", sample_logs / "straight.mcap"], SETTINGS)
+    assert extraction.legs == 11 + 9
+
+
 def test_equal_images_and_files():
     one = recorded()
     late = Track(one.wheels[0].right.time_ns + 1000, one.wheels[0].right.value)
