@@ -24,7 +24,7 @@ from mobilecal_cli.calibrate.extract import size_bytes
 from mobilecal_cli.calibrate.steps import Report, calibrate
 from mobilecal_cli.calibrate.workers import answer, processes
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError, RecordingError
-from mobilecal_cli.export.outputs import OUTPUT_NAMES, check_output, write_file, write_files
+from mobilecal_cli.export.outputs import OUTPUT_NAMES, check_output, recognized_output, write_outputs
 from mobilecal_cli.files.interruption import naming_interruptions, placed
 from mobilecal_cli.files.placing import already_exists
 from mobilecal_cli.files.reading import LARGEST_BYTES, mapping_of, problems_of, read_text
@@ -224,7 +224,7 @@ def run_job(job: FleetJob) -> FleetRow:
             written = _Record(params=(earlier, made) if own else (made,), key=key, row=rows[0])
             path = _record_path(job)
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_file(path, written.model_dump_json(indent=1).encode() + b"\n", force=True)
+            write_outputs({path: written.model_dump_json(indent=1).encode() + b"\n"}, force=True)
 
         with naming_interruptions():
             calibrate(
@@ -373,7 +373,7 @@ def batch(
             raise already_exists(path)
     for job in jobs:
         if os.path.lexists(job.output / job.name):
-            check_output(job.output / job.name, force or owns_result(job))
+            check_output(job.output / job.name, force or owns_result(job), recognize=recognized_output)
     rows: dict[str, FleetRow] = {}
     new = [path for path in (output / RECORDS, output) if not path.exists()]
     try:
@@ -396,7 +396,7 @@ def batch(
         raise
     ordered = (*(rows[job.name] for job in jobs), *skipped_entries(source, output, rows))
     tables = (fleet_csv(ordered).encode(), fleet_html(ordered).encode())
-    write_files(dict(zip((output / name for name in SUMMARIES), tables, strict=True)), force=True)
+    write_outputs(dict(zip((output / name for name in SUMMARIES), tables, strict=True)), force=True)
     return ordered
 
 

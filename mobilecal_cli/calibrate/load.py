@@ -120,7 +120,9 @@ def read_params(params: AnyPath) -> CalibratedRobot:
         ConfigError: the file cannot be read, or is not a params.yaml.
     """
     path = path_of("params", params)
-    hint = "give a params.yaml that mobilecal wrote; evaluate takes it last: mobilecal evaluate LOG params.yaml"
+    hint = (
+        "give a params.yaml that mobilecal wrote; evaluate takes it last: mobilecal evaluate LOG params.yaml"
+    )
     text = read_text(path, LARGEST_BYTES, hint, "params.yaml")
     return parameters_from_yaml(text, str(path))
 

@@ -20,7 +20,7 @@ from mobilecal_cli.calibrate.gaps import require_observable, require_stations
 from mobilecal_cli.calibrate.load import Data, differences, load, read_params
 from mobilecal_cli.errors import ConfigError, ObservationError, SolveError
 from mobilecal_cli.export.extraction import extraction_to_npz
-from mobilecal_cli.export.outputs import check_output, write_outputs
+from mobilecal_cli.export.outputs import check_output, recognized_output, write_outputs
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml, with_verdict
 from mobilecal_cli.kinematics import FEWEST_LEGS
 from mobilecal_cli.model import (
@@ -339,7 +339,7 @@ class Report:
             "report.json": self.json.encode(),
             "extraction.npz": extraction_to_npz(self.data.extraction, self.data.snapshots),
         }
-        write_outputs(path, files, force)
+        write_outputs({path: files}, force)
 
 
 def _require_own(data: Extraction, solved: Extraction, robot: CalibratedRobot) -> None:
@@ -439,7 +439,7 @@ def calibrate(
         MobilecalError: see `errors`; nothing is written then.
     """
     check_options(method, constraints or Constraints(), hold_out, config.flags)
-    check_output(output, force, [*logs, config.path, last])
+    check_output(output, force, [*logs, config.path, last], recognized_output)
     limits = gates_of(gates, config.gates, hold_out=hold_out is not None)
     if last is not None:
         read_params(last)

@@ -46,7 +46,7 @@ def board(
         output: PDF to write.
     """
     from mobilecal_cli.export.board_print import board_pdf
-    from mobilecal_cli.export.outputs import check_file, write_file
+    from mobilecal_cli.export.outputs import check_output, write_outputs
     from mobilecal_cli.rig.config import load_rig
 
     if output.suffix.lower() not in ("", ".pdf"):
@@ -67,9 +67,9 @@ def board(
         raise ConfigError("--dictionary and --marker-share apply only to ChArUco boards", "add --charuco")
     stated = load_rig(None, flags).board.stated
     assert stated is not None
-    check_file(output, force)
+    check_output(output, force)
     made = board_pdf(stated, paper)
-    write_file(output, made.content, force)
+    write_outputs({output: made.content}, force)
     typer.echo(made.config)
     if not charuco and (columns - rows) % 2 == 0:
         typer.echo(

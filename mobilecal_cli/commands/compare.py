@@ -39,19 +39,19 @@ def compare(
     """
     from mobilecal_cli.calibrate.load import read_params
     from mobilecal_cli.comparison import broken_limits, difference, history
-    from mobilecal_cli.export.outputs import check_file, write_file
+    from mobilecal_cli.export.outputs import check_output, write_outputs
     from mobilecal_cli.report.comparison import Comparison, comparison_json, comparison_text, history_plot
 
     if len(files) < 2:
         raise ConfigError("only one calibration to compare", "give two or more params.yaml files")
     if plot is not None:
-        check_file(plot, force, files)
+        check_output(plot, force, files)
     names, robots = tuple(map(str, files)), tuple(map(read_params, files))
     differences = tuple(difference(robots[0], robot) for robot in robots[1:])
     past = history(robots)
     if plot is not None:
         labels = [robot.created or name for robot, name in zip(robots, names, strict=True)]
-        write_file(plot, history_plot(labels, past).encode(), force)
+        write_outputs({plot: history_plot(labels, past).encode()}, force)
     broken = tuple(
         f"{name}: {what}"
         for name, change in zip(names[1:], differences, strict=True)

@@ -51,7 +51,7 @@ def export(
         output: File to write; - for standard output. [default: -]
     """
     from mobilecal_cli.calibrate.export import export as exported
-    from mobilecal_cli.export.outputs import check_file, write_files
+    from mobilecal_cli.export.outputs import check_output, write_outputs
     from mobilecal_cli.model.text import visible
 
     if len(to) > 1:
@@ -59,13 +59,13 @@ def export(
     target, output = to[0], None if str(output) == "-" else output
     inputs, paths = [params, urdf, *(log or [])], []
     if output is not None:
-        check_file(output, force, inputs)
+        check_output(output, force, inputs)
         paths.append(output)
     if target == Target("foxglove"):
         if output is None:
             raise ConfigError(f"--to {target} writes two files", "name the first with --output scene.mcap")
         paths.append(output.with_suffix(".layout.json"))
-        check_file(paths[1], force, inputs)
+        check_output(paths[1], force, inputs)
     given = {"left": left_joint, "right": right_joint}
     joints = {side: name for side, name in given.items() if name is not None}
     made = exported(
@@ -82,7 +82,7 @@ def export(
     )
     if not paths:
         typer.echo(made.content, nl=False)
-    write_files(dict(zip(paths, (made.content, made.layout.encode()), strict=False)), force)
+    write_outputs(dict(zip(paths, (made.content, made.layout.encode()), strict=False)), force)
     for note in made.notes:
         typer.echo(visible(note), err=True)
     if paths:

@@ -39,16 +39,16 @@ def init(
         urdf: URDF of the robot. [default: robot_description in the recording]
     """
     from mobilecal_cli.commands.terminal import progress_bar
-    from mobilecal_cli.export.outputs import check_file, write_file
+    from mobilecal_cli.export.outputs import check_output, write_outputs
     from mobilecal_cli.report.inspection import draft_text
 
     stdout = str(output) == "-"
     if not stdout:
-        check_file(output, force, [*logs, urdf])
+        check_output(output, force, [*logs, urdf])
     with progress_bar(quiet) as progress:
         made = draft(logs, urdf, None if stdout else output.parent, progress)
         if not stdout:
-            write_file(output, made.text.encode(), force)
+            write_outputs({output: made.text.encode()}, force)
     if stdout:
         typer.echo(made.text, nl=False)
     if not quiet:

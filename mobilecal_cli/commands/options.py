@@ -126,17 +126,17 @@ def junit_file(
         others: more inputs.
         outputs: option or name → path of each other output of the command.
     """
-    from mobilecal_cli.export.outputs import check_apart, check_file, write_file
+    from mobilecal_cli.export.outputs import check_apart, check_output, write_outputs
     from mobilecal_cli.report.junit import is_junit, junit_error_xml
 
     check_apart({"--junit": junit, **(outputs or {})})
     if junit is not None:
         force = force or is_junit(junit)
-        check_file(junit, force, [*logs, *others])
+        check_output(junit, force, [*logs, *others])
 
     def write(content: bytes) -> None:
         if junit is not None:
-            write_file(junit, content, force)
+            write_outputs({junit: content}, force)
 
     try:
         yield write

@@ -83,12 +83,12 @@ def files_in(directory: Path, what: str, is_its: Callable[[Path], bool]) -> tupl
 
 
 def check_output(
-    path: Path, force: bool, inputs: Iterable[Path | None] = (), recognize: Recognize = recognized_output
+    path: Path, force: bool, inputs: Iterable[Path | None] = (), recognize: Recognize = recognized_file
 ) -> None:
     """Check before the work whether an output can be written; remove what killed runs of it left.
 
     Args:
-        path: the directory or file to create.
+        path: the file or directory to create.
         force: whether an existing output may be replaced.
         inputs: files and directories that the command reads.
         recognize: raises for anything that may not be replaced.
@@ -106,11 +106,6 @@ def check_output(
     _check_no_input(path, inputs)
     if path.is_dir() and not os.access(path, os.W_OK | os.X_OK):
         raise OutputError(f"{path}: no permission to replace it", _ANOTHER)
-
-
-def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> None:
-    """Check before the work whether a file can be written; see `check_output`."""
-    check_output(path, force, inputs, recognized_file)
 
 
 def check_appendable(path: Path, inputs: Iterable[Path | None] = ()) -> None:
@@ -177,43 +172,35 @@ def _check_no_input(path: Path, inputs: Iterable[Path | None]) -> None:
                 raise OutputError(f"{path}: this command reads {given}", _ANOTHER)
 
 
-def write_outputs(directory: Path, files: Mapping[str, bytes], force: bool) -> None:
-    """Write the files into a new directory, or change nothing.
+def write_outputs(outputs: Mapping[Path, bytes | Mapping[str, bytes]], force: bool) -> None:
+    """Write files and directories, all or none.
 
     Args:
-        directory: the directory to create.
-        files: name → contents.
-        force: replace an existing output directory of mobilecal.
+        outputs: path → contents; of a new directory: name → contents of its files.
+        force: replace existing files and output directories of mobilecal.
 
     Raises:
         OutputError: see `check_output`; or writing failed.
     """
-
-    def write(folder: Path) -> None:
-        folder.mkdir()
-        for name, content in files.items():
-            write_synced(folder / name, content)
-
-    check_output(directory, force)
-    write_all([(directory, recognized_output, write)], force)
-
-
-def write_file(path: Path, content: bytes, force: bool) -> None:
-    """Write a file; see `write_files`."""
-    write_files({path: content}, force)
-
-
-def write_files(files: Mapping[Path, bytes], force: bool) -> None:
-    """Write all files, or change nothing.
-
-    Raises:
-        OutputError: see `check_file`; or writing failed.
-    """
-    for path in files:
-        check_file(path, force)
+    recognized = {
+        path: recognized_file if isinstance(content, bytes) else recognized_output
+        for path, content in outputs.items()
+    }
+    for path, recognize in recognized.items():
+        check_output(path, force, recognize=recognize)
     write_all(
-        [(path, recognized_file, partial(write_synced, content=data)) for path, data in files.items()], force
+        [(path, recognized[path], partial(_write, content=content)) for path, content in outputs.items()],
+        force,
     )
+
+
+def _write(path: Path, content: bytes | Mapping[str, bytes]) -> None:
+    if isinstance(content, bytes):
+        write_synced(path, content)
+        return
+    path.mkdir()
+    for name, of_file in content.items():
+        write_synced(path / name, of_file)
 
 
 def write_all(outputs: Sequence[tuple[Path, Recognize, Callable[[Path], None]]], force: bool) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export.outputs import (
-    check_file,
     check_output,
     files_in,
     recognized_file,
@@ -63,7 +62,7 @@ def simulate(
         raise OutputError(
             f"{out}: not written by mobilecal simulate: there is no {truth.name}", "choose another name"
         )
-    check_file(truth, force)
+    check_output(truth, force)
     world = world_of(scenario, *scenario.plan())
     messages = published(world, lambda done, total: progress("rendering images", done, total))
 

@@ -359,7 +359,7 @@ def counted(monkeypatch):
         read_urdf(config)
         params = f"{FIRST_LINE}# {len(ran)}\n"
         before_writing(SimpleNamespace(params=params))
-        write_outputs(out, dict.fromkeys(OUTPUT_NAMES, params.encode()), force)
+        write_outputs({out: dict.fromkeys(OUTPUT_NAMES, params.encode())}, force)
 
     monkeypatch.setattr(batch_module, "calibrate", answer)
     monkeypatch.setattr(batch_module, "_row", lambda job, report: replace(row(0), name=job.name))

@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export import outputs
-from mobilecal_cli.export.outputs import append_text, check_file, check_output, write_file, write_outputs
+from mobilecal_cli.export.outputs import append_text, check_output, recognized_output, write_outputs
 from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.files import placing
 from mobilecal_cli.files.scratch import temporary
@@ -35,12 +35,20 @@ def old_output(directory: Path) -> Path:
     return directory
 
 
+def check_directory(directory: Path, force: bool) -> None:
+    check_output(directory, force, recognize=recognized_output)
+
+
+def write(path: Path, content: bytes | dict[str, bytes], force: bool) -> None:
+    write_outputs({path: content}, force)
+
+
 def test_a_new_directory(tmp_path, monkeypatch):
     """Named relative to the working directory; its permissions follow the umask."""
     monkeypatch.chdir(tmp_path)
     before = os.umask(0o027)
     try:
-        write_outputs(Path("out"), FILES, force=False)
+        write_outputs({Path("out"): FILES}, force=False)
     finally:
         os.umask(before)
     assert tree(tmp_path) == {"out": "directory", **{f"out/{name}": data for name, data in FILES.items()}}
@@ -52,7 +60,7 @@ def test_an_old_one_is_kept_without_force(tmp_path):
     out = old_output(tmp_path / "out")
     before = tree(tmp_path)
     with pytest.raises(OutputError, match="already exists") as caught:
-        write_outputs(out, FILES, force=False)
+        write_outputs({out: FILES}, force=False)
     assert "--force" in caught.value.hint
     assert tree(tmp_path) == before
 
@@ -60,12 +68,12 @@ def test_an_old_one_is_kept_without_force(tmp_path):
 @pytest.mark.parametrize("make", [old_output, Path.mkdir])
 def test_force_replaces_all_of_an_old_one_and_fills_an_empty_one(tmp_path, make):
     make(tmp_path / "out")
-    write_outputs(tmp_path / "out", {"params.yaml": OURS + b"new"}, force=True)
+    write_outputs({tmp_path / "out": {"params.yaml": OURS + b"new"}}, force=True)
     assert tree(tmp_path) == {"out": "directory", "out/params.yaml": OURS + b"new"}
 
 
 @pytest.mark.parametrize("foreign", ["thesis.tex", "report.html/inner.txt", ".git/config"])
-@pytest.mark.parametrize("function", [check_output, lambda d, force: write_outputs(d, FILES, force)])
+@pytest.mark.parametrize("function", [check_directory, lambda d, force: write(d, FILES, force)])
 def test_force_leaves_what_is_not_ours(tmp_path, foreign, function):
     out = tmp_path / "out"
     (out / foreign).parent.mkdir(parents=True)
@@ -79,13 +87,13 @@ def test_force_leaves_what_is_not_ours(tmp_path, foreign, function):
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_of_a_calibration_is_only_replaced_with_all_of_it(tmp_path, name):
-    write_outputs(tmp_path / "out", FILES, force=False)
-    for function in (write_file, lambda path, data, force: append_text(path, data.decode())):
+    write_outputs({tmp_path / "out": FILES}, force=False)
+    for function in (write, lambda path, data, force: append_text(path, data.decode())):
         with pytest.raises(OutputError, match="a file of a calibration"):
             function(tmp_path / "out" / name, b"new", force=True)
-    write_file(tmp_path / "out/new.json", b"new", force=False)
-    write_file(tmp_path / name, b"", force=False)
-    write_file(tmp_path / name, b"beside no calibration", force=True)
+    write_outputs({tmp_path / "out/new.json": b"new"}, force=False)
+    write_outputs({tmp_path / name: b""}, force=False)
+    write_outputs({tmp_path / name: b"beside no calibration"}, force=True)
     assert tree(tmp_path / "out") == {**FILES, "new.json": b"new"}
 
 
@@ -94,7 +102,7 @@ def test_force_needs_parameters_of_ours(tmp_path, name):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).write_bytes(b"of another tool")
     with pytest.raises(OutputError, match="not an output directory"):
-        check_output(tmp_path / "out", force=True)
+        check_directory(tmp_path / "out", force=True)
 
 
 @pytest.mark.parametrize("force", [False, True])
@@ -110,15 +118,15 @@ def test_links_and_files_are_refused(tmp_path, force):
         ("file", "not a directory"),
     ):
         with pytest.raises(OutputError, match=said):
-            check_output(tmp_path / name, force)
+            check_directory(tmp_path / name, force)
         with pytest.raises(OutputError, match=said):
-            write_outputs(tmp_path / name, FILES, force)
+            write_outputs({tmp_path / name: FILES}, force)
     assert tree(tmp_path) == before
 
 
 def test_checking_changes_nothing(tmp_path):
-    check_output(tmp_path / "new", force=False)
-    check_output(old_output(tmp_path / "old"), force=True)
+    check_directory(tmp_path / "new", force=False)
+    check_directory(old_output(tmp_path / "old"), force=True)
     assert tree(tmp_path) == {"old": "directory", "old/params.yaml": OURS + b"old", "old/report.html": b"old"}
 
 
@@ -163,7 +171,7 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path, monkeypatch, existing, 
             without_exchange(patch)
         calls = fail_on(patch, owner, name, nth, error)
         with pytest.raises(OutputError if isinstance(error, OSError) else KeyboardInterrupt) as caught:
-            write_outputs(out, FILES, force=existing)
+            write_outputs({out: FILES}, force=existing)
     assert len(calls) >= nth
     assert tree(tmp_path) == before
     if isinstance(error, OSError):
@@ -200,7 +208,7 @@ def test_a_directory_that_appears_during_the_work_is_kept(tmp_path, monkeypatch,
 
     appears_during(monkeypatch, appear)
     with pytest.raises(OutputError, match="not an output" if force else "already exists"):
-        write_outputs(out, FILES, force)
+        write_outputs({out: FILES}, force)
     assert tree(tmp_path) == {"out": "directory", "out/thesis.tex": b"precious"}
 
 
@@ -209,10 +217,10 @@ def test_an_output_that_appears_during_the_work_needs_force(tmp_path, monkeypatc
     out = tmp_path / "out"
     appears_during(monkeypatch, lambda: old_output(out))
     with pytest.raises(OutputError, match="already exists"):
-        write_outputs(out, FILES, force=False)
+        write_outputs({out: FILES}, force=False)
     assert (out / "params.yaml").read_bytes() == OURS + b"old"
     shutil.rmtree(out)
-    write_outputs(out, FILES, force=True)
+    write_outputs({out: FILES}, force=True)
     assert tree(tmp_path) == {"out": "directory", **{f"out/{name}": data for name, data in FILES.items()}}
 
 
@@ -234,11 +242,11 @@ def test_what_appears_in_place_of_a_single_file(tmp_path, monkeypatch, force, wh
 
     appears_during(monkeypatch, appear)
     if force and what == "file":  # named by the user
-        write_file(path, b"new", force)
+        write_outputs({path: b"new"}, force)
         assert tree(tmp_path) == {"junit.xml": b"new", "other": b"precious"}
         return
     with pytest.raises(OutputError, match=r"already exists|not a regular file"):
-        write_file(path, b"new", force)
+        write_outputs({path: b"new"}, force)
     assert path.is_dir() == (what == "directory")
     assert path.is_symlink() == (what == "link")
     assert other.read_text() == "precious"
@@ -258,14 +266,14 @@ def test_a_file_added_to_the_replaced_output_is_kept(tmp_path, monkeypatch):
 
     monkeypatch.setattr(placing, "_remove_replaced", late)
     with pytest.raises(OutputError, match="written, but") as caught:
-        write_outputs(out, FILES, force=True)
+        write_outputs({out: FILES}, force=True)
     assert (out / "params.yaml").read_bytes() == FILES["params.yaml"]
     (kept,) = tmp_path.glob(".out.*.old")
     assert str(kept) in caught.value.hint
     assert (kept / "out/thesis.tex").read_text() == "precious"
 
 
-@pytest.mark.parametrize("check", [check_output, check_file])
+@pytest.mark.parametrize("check", [check_directory, check_output])
 def test_paths_are_checked_before_the_work(tmp_path, check):
     with pytest.raises(OutputError, match="File name too long"):
         check(tmp_path / ("x" * 256), False)
@@ -279,8 +287,8 @@ def test_paths_are_checked_before_the_work(tmp_path, check):
 
 def test_the_longest_name(tmp_path):
     for name in ("x" * 255, "ü" * 127):
-        write_file(tmp_path / f"{name[:-1]}1", b"1", force=False)
-        write_outputs(tmp_path / name, FILES, force=False)
+        write_outputs({tmp_path / f"{name[:-1]}1": b"1"}, force=False)
+        write_outputs({tmp_path / name: FILES}, force=False)
     assert len(list(tmp_path.iterdir())) == 4
 
 
@@ -291,7 +299,7 @@ def test_leftovers_of_a_killed_run_are_removed(tmp_path):
         (left / "params.yaml").write_bytes(OURS)
     used = tmp_path / ".out.00000002.partial"
     with temporary(lambda: used.mkdir() or used, lambda _: None):
-        check_output(tmp_path / "out", force=False)
+        check_directory(tmp_path / "out", force=False)
     assert [path.name for path in tmp_path.iterdir()] == [used.name]
 
 
@@ -299,5 +307,5 @@ def test_an_output_that_a_killed_run_had_set_aside_is_put_back(tmp_path):
     old_output(tmp_path / "out")
     (tmp_path / ".out.00000000.old").mkdir()
     (tmp_path / "out").rename(tmp_path / ".out.00000000.old" / "replaced")
-    check_output(tmp_path / "out", force=True)
+    check_directory(tmp_path / "out", force=True)
     assert tree(tmp_path) == {"out": "directory", "out/params.yaml": OURS + b"old", "out/report.html": b"old"}

@@ -56,7 +56,7 @@ def try_all(folder: Path, existing: bool, exchange: bool) -> None:
             if not exchange:
                 placing._rename = lambda source, target, flag: False
             _die_at(number)
-            outputs.write_outputs(target, NEW, existing)
+            outputs.write_outputs({target: NEW}, existing)
             os.write(1, b"done ")
             os._exit(0)
         _, status = os.waitpid(child, 0)

@@ -10,7 +10,7 @@ from itertools import groupby
 import pytest
 
 from mobilecal_cli.errors import OutputError
-from mobilecal_cli.export.outputs import append_text, write_files
+from mobilecal_cli.export.outputs import append_text, write_outputs
 from tests.command import python, run
 from tests.conftest import REPOSITORY
 
@@ -102,7 +102,7 @@ def test_of_two_files_that_belong_together_none_is_written_if_one_cannot_be(tmp_
     for path in (first, second):
         path.write_bytes(b"old")
     with pytest.raises(OutputError, match=r"layout\.json: cannot be written"):
-        write_files({first: b"new", second: b"y" * 5000}, force=True)
+        write_outputs({first: b"new", second: b"y" * 5000}, force=True)
     assert [path.read_bytes() for path in sorted(tmp_path.iterdir())] == [b"old", b"old"]
 
 
