@@ -39,6 +39,7 @@ from mobilecal_cli.model.rig import (
     HeadChain,
     JointField,
     JointLink,
+    JointSource,
     JointTransform,
     LensCorrection,
     Markers,

@@ -373,6 +373,10 @@ class JointField:
         return self.field
 
 
+#: Topic of joint states, or what is read of other messages.
+JointSource = str | JointField | JointTransform
+
+
 @dataclass(frozen=True, slots=True)
 class Sources:
     """The topics used.
@@ -380,23 +384,26 @@ class Sources:
     Attributes:
         image: image topic of each camera.
         info: camera-info topic of each camera, "" if the camera calibration is not from the recording.
-        joints: head joint → joint-state topic.
+        joints: head joint → its joint-state topic, or its source in other messages.
         wheels: source of each wheel.
-        elsewhere: head joint → its source, if it is not in joint states.
         layout: the images of the cameras in separate messages, or both of a pair in one image of one topic.
     """
 
     image: Mapping[str, str]
     info: Mapping[str, str]
-    joints: Mapping[str, str]
+    joints: Mapping[str, JointSource]
     wheels: Mapping[Side, WheelSource]
-    elsewhere: Mapping[str, JointField | JointTransform] = field(default_factory=dict)
     layout: StereoLayout = "separate"
 
     @property
     def joint_topics(self) -> list[str]:
         """The joint-state topics with the head's joints, each once."""
-        return sorted({*self.joints.values()})
+        return sorted({topic for topic in self.joints.values() if isinstance(topic, str)})
+
+    @property
+    def elsewhere(self) -> dict[str, JointField | JointTransform]:
+        """Head joint → its source, of those that are not in joint states."""
+        return {name: source for name, source in self.joints.items() if not isinstance(source, str)}
 
     @property
     def motion(self) -> frozenset[str]:

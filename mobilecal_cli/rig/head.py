@@ -20,6 +20,7 @@ from mobilecal_cli.model import (
     HeadChain,
     JointField,
     JointLink,
+    JointSource,
     JointTransform,
     Nominal,
     RobotDescription,
@@ -338,10 +339,8 @@ def outside_chain(chain: HeadChain, description: RobotDescription) -> list[str]:
     return [name for word in missing for name in joint_state_names(description) if word in words(name)]
 
 
-def joint_sources(
-    config: RigConfig, description: RobotDescription, head: Head
-) -> tuple[dict[str, str], dict[str, JointField | JointTransform]]:
-    """The chain's joints → their joint-state topics, and the sources of those that are read elsewhere.
+def joint_sources(config: RigConfig, description: RobotDescription, head: Head) -> dict[str, JointSource]:
+    """The chain's joints → their joint-state topics, or the sources of those that are read elsewhere.
 
     These are the fields of other messages that the configuration names, then the transforms on /tf, by the URDF's links
     and axes, of joints without joint states.
@@ -351,7 +350,7 @@ def joint_sources(
         RecordingError: a topic or a joint is missing; the hint lists those present.
     """
     chain = head.chain
-    elsewhere: dict[str, JointField | JointTransform] = {}
+    sources: dict[str, JointSource] = {}
     for name, source in config.joints.fields.items():
         if name not in chain.joints:
             raise ConfigError(
@@ -360,9 +359,9 @@ def joint_sources(
             )
         require_topic("joints.fields", source.topic, (info.name for info in description.topics))
         scale = math.radians(1) if source.unit == "deg" else 1.0
-        elsewhere[name] = JointField(source.topic, source.field, scale)
+        sources[name] = JointField(source.topic, source.field, scale)
     stated, topic = description.joint_names, config.joints.topic
-    told = {*joint_state_names(description), *elsewhere}
+    told = {*joint_state_names(description), *sources}
     kinds = {link.joint: link.kind for link in chain.links if isinstance(link, JointLink)}
     tf = [info.name for info in description.topics if info.type == TRANSFORMS and info.name.endswith("/tf")]
     drawn = head.urdf.joints if tf and head.urdf is not None else {}
@@ -370,17 +369,16 @@ def joint_sources(
         joint = drawn.get(name)
         if joint is not None and joint.mimic is None and name not in told:
             ends = joint.parent, joint.child, joint.T_parent_child
-            elsewhere[name] = JointTransform(tf[0], *ends, joint.axis, kind)
+            sources[name] = JointTransform(tf[0], *ends, joint.axis, kind)
     if topic is not None:
         require_topic("joints.topic", topic, stated, "joint states")
         stated = {topic: stated[topic]}
-    topics: dict[str, str] = {}
-    for name in (name for name in chain.joints if name not in elsewhere):
+    for name in (name for name in chain.joints if name not in sources):
         topic = next((on for on, present in stated.items() if name in present), None)
         if topic is None:
             raise RecordingError(
                 f"no joint state for {name!r}, a joint between {chain.base_frame} and {chain.head_frame}",
                 f"joints present: {listed(sorted({n for present in stated.values() for n in present}))}",
             )
-        topics[name] = topic
-    return topics, elsewhere
+        sources[name] = topic
+    return sources

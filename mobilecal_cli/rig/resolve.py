@@ -11,8 +11,7 @@ from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import (
     CameraInfo,
     CameraRig,
-    JointField,
-    JointTransform,
+    JointSource,
     Nominal,
     Rig,
     RobotDescription,
@@ -189,18 +188,17 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
     if images and len(infos) == len(images):
         drawn = partial(fixed_pose, None if head is None else head.urdf)
         cameras = tried("camera infos", lambda: camera_rig(infos, rectified, config, drawn))
-    joints: Mapping[str, str] = {}
-    elsewhere: Mapping[str, JointField | JointTransform] = {}
+    joints: Mapping[str, JointSource] = {}
     if head is not None:
         wheels, notes = head.wheels, notes + head.notes
-        joints, elsewhere = tried("joints", lambda: joint_sources(config, of_robot, head)) or ({}, {})
+        joints = tried("joints", lambda: joint_sources(config, of_robot, head)) or {}
         if cameras is not None:
             tried("priors", lambda: prior_sigmas(config.priors, cameras, head.chain))
-    sources = Sources(images, topics, joints, wheels, elsewhere, config.cameras.layout)
+    sources = Sources(images, topics, joints, wheels, config.cameras.layout)
     lacks.sort(key=lambda lack: get_args(Part).index(lack[0]))
     survey = Survey(config, description, sources, rectified, cameras, head, notes, lacks)
     of_head = head.chain.joints if head is not None and config.joints.topic is None else ()
-    for name in sorted(survey.wheel_joints | {*of_head} - {*elsewhere}):
+    for name in sorted(survey.wheel_joints | {*of_head} - {*sources.elsewhere}):
         on = tuple(topic for topic, names in of_robot.joint_names.items() if name in names)
         if len(on) > 1:
             survey.shared[name] = on

@@ -131,11 +131,11 @@ def test_joints_and_wheels_in_messages_of_any_kind(tmp_path):
     pan = JointField("/head", "pan.angle", np.radians(1))
     joints = {"pan": pan, "tilt": JointField("/head", "tilts[0]")}
     with open_recording([path]) as recording:
-        signals = r.one_log(recording, Sources({}, {}, {}, wheels, joints))
+        signals = r.one_log(recording, Sources({}, {}, joints, wheels))
         wrong = {"pan": JointField("/head", "pan.angel")}
         said = r"/head: no field pan\.angel .*fields present: .*pan\.angle"
         with pytest.raises(RecordingError, match=said):
-            r.one_log(recording, Sources({}, {}, {}, wheels, wrong))
+            r.one_log(recording, Sources({}, {}, wrong, wheels))
     assert signals.joints["pan"].value == pytest.approx(np.radians(90 + np.arange(6)))
     assert signals.joints["pan"].time_ns.tolist() == [7_000_000_000 + i for i in range(6)]
     assert signals.joints["tilt"].value == pytest.approx([0, 0.1, 0.2, 0.4, 0.5])

@@ -70,7 +70,7 @@ def signals_of(folder, messages, sources):
     path = r.write_json(folder / "log.mcap", [*messages, *counts])
     wheels = dict.fromkeys(("left", "right"), WheelSource("/count", field="data"))
     with open_recording([path]) as recording:
-        return r.one_log(recording, Sources({}, {}, {}, wheels, elsewhere=sources))
+        return r.one_log(recording, Sources({}, {}, sources, wheels))
 
 
 def test_joints_over_time_with_their_own_stamps(tmp_path):

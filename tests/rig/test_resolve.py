@@ -708,7 +708,7 @@ def test_both_cameras_in_one_topic():
 def test_joints_that_only_tf_tells():
     states = {"/joint_states": ("wheel_left_joint", "wheel_right_joint")}
     rig = resolve_rig(RigConfig(), description(extra=[TF], joint_names=states))[0]
-    assert (rig.sources.joints, set(rig.sources.elsewhere)) == ({}, set(rig.chain.joints))
+    assert (rig.sources.joint_topics, set(rig.sources.elsewhere)) == ([], set(rig.chain.joints))
     tilt = rig.sources.elsewhere["head_tilt_joint"]
     assert (tilt.topic, tilt.child, tilt.kind) == ("/tf", "tilt", "revolute")
     # Joint states come first, where there are any.

@@ -15,6 +15,7 @@ from mobilecal_cli.model import (
     SIDES,
     IntArray,
     JointField,
+    JointSource,
     PictureIndex,
     Signals,
     Sources,
@@ -35,6 +36,14 @@ from mobilecal_cli.readers.signals.series import (
 from mobilecal_cli.readers.signals.sides import sides_of
 from mobilecal_cli.readers.signals.sources import FieldSource, Images, Source, Subscriptions
 from mobilecal_cli.readers.signals.wheels import add_wheel, gap_notes
+
+
+def _joint(name: str, where: JointSource) -> Source:
+    if isinstance(where, str):
+        return StatedJoint(where, name)
+    if isinstance(where, JointField):
+        return FieldSource(where.topic, where.field, f"joint {name}", "joints.fields", where.scale)
+    return TransformJoint(name, where)
 
 
 def read_signals(recording: Recording, sources: Sources, extent: Extent = EVERYTHING) -> tuple[Signals, ...]:
@@ -60,15 +69,7 @@ def read_signals(recording: Recording, sources: Sources, extent: Extent = EVERYT
     """
     read = Subscriptions(recording)
     images = {name: read.add(Images(topic)) for name, topic in sources.image.items()}
-    joints: dict[str, Source] = {
-        name: read.add(StatedJoint(topic, name)) for name, topic in sources.joints.items()
-    }
-    for name, where in sources.elsewhere.items():
-        joints[name] = read.add(
-            FieldSource(where.topic, where.field, f"joint {name}", "joints.fields", where.scale)
-            if isinstance(where, JointField)
-            else TransformJoint(name, where)
-        )
+    joints = {name: read.add(_joint(name, where)) for name, where in sources.joints.items()}
     turning = {side: [add_wheel(read, side, wheel) for wheel in sources.wheels[side].every] for side in SIDES}
     infos = {
         info.name: InfoChanges(info.name)
