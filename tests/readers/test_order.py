@@ -46,15 +46,14 @@ def test_messages_come_in_order(tmp_path, name, times_s):
 
 
 WRITERS = {"mcap": r.write_mcap, "bag": r.write_bag, "db3": r.write_bag2}
-STEP_NS = 10 * 10**9
 
 
-def stepping(lengths_s=(20.0, 20.0), hz=(50, 5, 1)):
+def stepping(lengths_s=(20.0, 20.0), step_s=10.0, hz=(50, 5, 1)):
     """Messages of some topics; the clock of the recorder, and that of the stamps, steps back after each stretch."""
     items = []
     for k in range(round(sum(lengths_s) * max(hz))):
         true_s = k / max(hz)
-        behind = STEP_NS * int((true_s >= np.cumsum(lengths_s)[:-1]).sum())
+        behind = round(step_s * 1e9) * int((true_s >= np.cumsum(lengths_s)[:-1]).sum())
         log_ns = r.START_NS + round(true_s * 1e9) - behind
         for rate in hz:
             if k % (max(hz) // rate) == 0:
@@ -64,9 +63,11 @@ def stepping(lengths_s=(20.0, 20.0), hz=(50, 5, 1)):
 
 
 @pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
-@pytest.mark.parametrize("lengths_s", [(20, 20), (5, 30), (12, 13, 14)])
-def test_log_times_go_on_where_the_recorder_s_clock_steps_back(tmp_path, write, lengths_s):
-    items = stepping(lengths_s)
+@pytest.mark.parametrize(
+    ("lengths_s", "step_s"), [((20, 20), 10.0), ((5, 30), 10.0), ((12, 13, 14), 10.0), ((20, 20), 0.5)]
+)
+def test_log_times_go_on_where_the_recorder_s_clock_steps_back(tmp_path, write, lengths_s, step_s):
+    items = stepping(lengths_s, step_s)
     with open_recording([write(tmp_path / "log", items)]) as recording:
         topics = [info.name for info in recording.topics]
         found = list(recording.messages(topics))
@@ -77,7 +78,7 @@ def test_log_times_go_on_where_the_recorder_s_clock_steps_back(tmp_path, write, 
         assert np.abs(log_s - values).max() < 0.05
         steps = len(lengths_s) - 1
         (note, *more) = recording.damage
-        assert "the recorder's clock steps back by 10.0" in note
+        assert f"the recorder's clock steps back by {step_s:.1f}" in note
         assert len(more) <= steps - 1
         for topic, times in recording.log_times().items():
             own = [m.log_time_ns for m in found if m.topic == topic]

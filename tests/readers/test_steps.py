@@ -19,7 +19,7 @@ def samples(topic, hz=50, seconds=40.0, lag_ms=3.0, step_s=0.0, at_s=AT):
     return Samples(topic, topic, stamp_ns, log_ns, true_ns[:, None] / S)
 
 
-@pytest.mark.parametrize("step_s", [-30, -10, -1.5, 1.5, 30])
+@pytest.mark.parametrize("step_s", [-30, -10, -1.5, -0.5, 1.5, 30])
 def test_all_clocks_step(step_s):
     series = [samples(topic, hz, step_s=step_s) for topic, hz in (("/j", 50), ("/l", 5), ("/r", 1))]
     (first, second), (note,) = cut(series)
@@ -32,7 +32,7 @@ def test_all_clocks_step(step_s):
     assert note.startswith(said)
 
 
-@pytest.mark.parametrize("step_s", [-10, 30])
+@pytest.mark.parametrize("step_s", [-10, -0.3, 30])
 @pytest.mark.parametrize("stepping", ["/joints", "/left /right", "/left"])
 def test_a_step_of_some_clocks_is_undone_by_its_size(step_s, stepping):
     rates = {"/joints": 50, "/left": 5, "/right": 5}

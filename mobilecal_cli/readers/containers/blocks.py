@@ -24,7 +24,7 @@ from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.storage import (
     EVERYTHING,
     LATEST_NS,
-    LEAST_STEP_NS,
+    LEAST_BACK_NS,
     WITHOUT_TIME,
     Extent,
     Message,
@@ -257,7 +257,7 @@ class BlockStorage(Storage):
         """Let log times go on in the order of the file where the recorder's clock stepped back."""
         latest_ns, may_step = 0, self._goes_back
         for block in self.blocks:
-            may_step |= block.start_ns < latest_ns - LEAST_STEP_NS
+            may_step |= block.start_ns < latest_ns - LEAST_BACK_NS
             latest_ns = max(latest_ns, block.end_ns)
         times = self._times(self.blocks) if may_step else None
         if times is None:
@@ -373,7 +373,7 @@ class BlockStorage(Storage):
         if last.is_chunk or last.offset + last.size != block.offset or last.size >= _SPAN_BYTES:
             self.blocks.append(block)
             return
-        self._goes_back |= block.start_ns < last.end_ns - LEAST_STEP_NS
+        self._goes_back |= block.start_ns < last.end_ns - LEAST_BACK_NS
         self.blocks[-1] = replace(
             last,
             size=last.size + block.size,
@@ -395,7 +395,7 @@ class BlockStorage(Storage):
         self.counts.update(counts)
         if counts:
             start_ns, end_ns = int(known[1].min(initial=LATEST_NS)), int(known[1].max(initial=0))
-            self._goes_back |= end_ns - start_ns > LEAST_STEP_NS and goes_back(*known)
+            self._goes_back |= end_ns - start_ns > LEAST_BACK_NS and goes_back(*known)
             block = replace(block, start_ns=start_ns, end_ns=end_ns, channels=frozenset(counts))
         if counts or (damage and not truncated):  # not an empty chunk
             self.blocks.append(block)

@@ -218,9 +218,11 @@ def expand(source: BinaryIO, target: Path) -> str:
             sink.write(piece)
 
 
-#: Smallest step, also in multiples of a topic's usual change of its lag: a slow playback is no step.
+#: Smallest step forward, which messages that were held back look like, also in multiples of the changes of a topic's
+#: lag that are not rare: a slow playback is no step. Smallest one back, which makes time run backward.
 LEAST_STEP_NS = 1_000_000_000
-_LEAST_RATIO = 10
+_LEAST_RATIO, _NOT_RARE = 10, 0.9
+LEAST_BACK_NS = 100_000_000
 #: Messages on each side of a step whose median lag must differ by it: single wrong stamps are none.
 _AROUND = 5
 #: Channels with fewer messages do not tell whether the log times of all step.
@@ -239,31 +241,34 @@ def steps_of(stamp_ns: IntArray, log_ns: IntArray) -> IntArray:
     if len(stamp_ns) < 2 * _AROUND:
         return np.zeros(0, dtype=np.int64)
     lag = log_ns - stamp_ns
-    jump = np.diff(lag)
-    limit = max(LEAST_STEP_NS, _LEAST_RATIO * float(np.median(np.abs(jump))))
-    sudden = np.where(np.diff(stamp_ns) <= 0, jump > limit, -jump > limit)
+    jump, back = np.diff(lag), np.diff(stamp_ns) <= 0
+    limit = np.maximum(
+        np.where(back, LEAST_BACK_NS, LEAST_STEP_NS), _LEAST_RATIO * np.quantile(np.abs(jump), _NOT_RARE)
+    )
+    sudden = np.where(back, jump, -jump) > limit
     middle = np.median(np.lib.stride_tricks.sliding_window_view(lag, _AROUND), axis=1)
     # Medians of the messages before and after each place that has enough of them on both sides.
     change = middle[_AROUND:] - middle[:-_AROUND]
+    inside = slice(_AROUND - 1, len(jump) - _AROUND + 1)
     lasting = np.zeros(len(jump), dtype=np.bool_)
-    lasting[_AROUND - 1 : len(jump) - _AROUND + 1] = np.abs(change) > limit
+    lasting[inside] = np.abs(change) > limit[inside]
     return np.asarray(np.flatnonzero(sudden & lasting) + 1, dtype=np.int64)
 
 
 def goes_back(channel: IntArray, log_ns: IntArray) -> bool:
-    """Whether the log times of a channel go back by more than the smallest step; arguments as of `steps_back`."""
+    """Whether the log times of a channel go back by more than the smallest step back; arguments as of `steps_back`."""
     if not len(log_ns) or log_ns.min() < 0 or log_ns.max() >= LATEST_NS:
         return False  # damage
     order = np.argsort(channel, kind="stable")
     same = np.diff(channel[order]) == 0
-    return bool(np.any(np.diff(log_ns[order])[same] < -LEAST_STEP_NS))
+    return bool(np.any(np.diff(log_ns[order])[same] < -LEAST_BACK_NS))
 
 
 def steps_back(channel: IntArray, log_ns: IntArray) -> list[tuple[int, int]]:
     """Where the log times of a file start again at an earlier time, because the recorder's clock stepped back.
 
-    There, a channel's log times go back for good, and so do those of most others: a file that was written topic by
-    topic has no step.
+    There, a channel's log times go back for good, and so do those of most others with shorter intervals than the step:
+    a file that was written topic by topic has no step.
 
     Args:
         channel, log_ns: (n,) ids of the channels and log times of all messages, in the order of the file.
@@ -283,14 +288,15 @@ def steps_back(channel: IntArray, log_ns: IntArray) -> list[tuple[int, int]]:
         for k in steps_of(log_ns[own], np.zeros(len(own), dtype=np.int64))
         if log_ns[own[k]] < log_ns[own[k - 1]]
     ]
-    usual = [own for own in sets if len(own) >= _USUAL]
-    usual_ns = min((np.median(np.abs(np.diff(log_ns[own]))) for own in usual), default=0)
+    intervals = [(own, np.median(np.abs(np.diff(log_ns[own])))) for own in sets if len(own) >= _USUAL]
+    usual_ns = min((interval_ns for _, interval_ns in intervals), default=0)
     for last, first in sorted(places):
         if steps and first < steps[-1][0]:
             continue
         at = first + 1 + int(np.argmin(np.diff(log_ns[first : last + 1])))
-        ends = [(own[k - 1], own[k]) for own in usual if 0 < (k := int(np.searchsorted(own, at))) < len(own)]
+        quick = [own for own, interval_ns in intervals if interval_ns < log_ns[first] - log_ns[last]]
+        ends = [(own[k - 1], own[k]) for own in quick if 0 < (k := int(np.searchsorted(own, at))) < len(own)]
         back = [(log_ns[a], log_ns[b]) for a, b in ends if log_ns[b] <= log_ns[a]]
-        if 2 * len(back) > len(usual):
+        if 2 * len(back) > len(quick):
             steps.append((at, int(max(a for a, _ in back) - min(b for _, b in back) + usual_ns)))
     return steps if int(log_ns.max()) + sum(size_ns for _, size_ns in steps) < LATEST_NS else []

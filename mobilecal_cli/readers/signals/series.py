@@ -10,7 +10,7 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CLOCK_STEPS, BoolArray, FloatArray, IntArray, Track
-from mobilecal_cli.readers.containers.storage import LEAST_STEP_NS, steps_of
+from mobilecal_cli.readers.containers.storage import LEAST_BACK_NS, LEAST_STEP_NS, steps_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -383,7 +383,8 @@ def _longest_increasing(values: IntArray) -> IntArray:
 _LONG_PAUSE = 10
 #: Messages on each side that give its size.
 _MEASURED = 101
-#: Clocks that step within this time, step together; those that step by this much less or more, by the same amount.
+#: Clocks that step within this time, step together; those that step by this much less or more, or by half of the
+#: smallest step, by the same amount.
 _TOGETHER_NS, _SAME_NS = 2 * LEAST_STEP_NS, LEAST_STEP_NS // 2
 
 
@@ -398,17 +399,22 @@ def cut(series: Sequence[Samples]) -> tuple[list[tuple[Samples, ...]], list[str]
     shifts = [[0] for _ in series]
     notes = []
     for group in _together(series, steps):
-        at_ns = min(int(series[k].log_ns[index]) for k, index in group.items())
+        around_ns = np.array([series[k].log_ns[[index - 1, index]] for k, index in group.items()])
+        at_ns = (int(around_ns[:, 0].max()) + int(around_ns[:, 1].min())) // 2
         begins = [
             group.get(k, int(np.searchsorted(samples.log_ns, at_ns))) for k, samples in enumerate(series)
         ]
-        sizes = [_size(samples, starts[k][-1], begins[k]) for k, samples in enumerate(series)]
-        known = [size for size in sizes if size is not None]
-        alike = bool(known) and max(known) - min(known) < _SAME_NS
+        changes = [_change(samples, starts[k][-1], begins[k]) for k, samples in enumerate(series)]
+        smallest_ns = min((abs(change) for k in group if (change := changes[k])), default=0)
+        same_ns = min(_SAME_NS, max(smallest_ns, LEAST_BACK_NS) // 2)
+        sizes = _sizes(changes, same_ns)
+        if not any(sizes):
+            continue
+        alike = np.ptp([size for size in sizes if size is not None] or [0]) < same_ns
         for k, (begin, size) in enumerate(zip(begins, sizes, strict=True)):
             starts[k].append(max(begin, starts[k][-1]))
-            shifts[k].append(shifts[k][-1] + (0 if alike or size is None else _common(size, known)))
-        notes.append(_note(series, group, [_common(size, known) for size in sizes if size]))
+            shifts[k].append(shifts[k][-1] + (0 if alike else size or 0))
+        notes.append(_note(series, int(around_ns[:, 1].min()), sizes))
     ends = [[*begins[1:], len(samples)] for begins, samples in zip(starts, series, strict=True)]
     return [
         tuple(s.rows(slice(starts[k][p], ends[k][p]), shifts[k][p]) for k, s in enumerate(series))
@@ -451,8 +457,8 @@ def _together(series: Sequence[Samples], steps: Sequence[IntArray]) -> list[dict
     return groups
 
 
-def _size(samples: Samples, start: int, begin: int) -> int | None:
-    """Change of the lag at the begin of a piece, ns; 0 if it is no step, None without messages on one side.
+def _change(samples: Samples, start: int, begin: int) -> int | None:
+    """Change of the lag at the begin of a piece, ns; None without messages on one side.
 
     Args:
         samples: of a series.
@@ -462,20 +468,30 @@ def _size(samples: Samples, start: int, begin: int) -> int | None:
     before, after = lag[max(begin - _MEASURED, start) : begin], lag[begin : begin + _MEASURED]
     if not len(before) or not len(after):
         return None
-    size = int(np.median(after)) - int(np.median(before))
-    return size if abs(size) > LEAST_STEP_NS else 0
+    return int(np.median(after)) - int(np.median(before))
 
 
-def _common(size: int, known: Sequence[int]) -> int:
-    """The step of one series as that of all which step by the same amount: their stamps stay as they are together."""
-    return int(np.median([other for other in known if abs(other - size) < _SAME_NS]))
+def _sizes(changes: Sequence[int | None], same_ns: int) -> list[int | None]:
+    """The step of each series, as that of all which step by the same amount: their stamps stay as they are together.
+
+    Args:
+        changes: from `_change`.
+        same_ns: a smaller one is no step, and two that differ by less are the same step.
+    """
+    steps = [None if change is None else change * (abs(change) >= same_ns) for change in changes]
+    known = [step for step in steps if step is not None]
+    return [
+        None if step is None else int(np.median([other for other in known if abs(other - step) < same_ns]))
+        for step in steps
+    ]
 
 
-def _note(series: Sequence[Samples], group: dict[int, int], sizes: Sequence[int]) -> str:
-    first = min(int(samples.log_ns[0]) for samples in series if len(samples))
-    at_s = (min(int(series[k].log_ns[index]) for k, index in group.items()) - first) * 1e-9
-    names = ", ".join(dict.fromkeys(series[k].topic for k in sorted(group)))
-    largest = max(sizes, key=abs, default=0) * 1e-9
+def _note(series: Sequence[Samples], at_ns: int, sizes: Sequence[int | None]) -> str:
+    at_s = (at_ns - min(int(samples.log_ns[0]) for samples in series if len(samples))) * 1e-9
+    names = ", ".join(
+        dict.fromkeys(samples.topic for samples, size in zip(series, sizes, strict=True) if size)
+    )
+    largest = max((size or 0 for size in sizes), key=abs) * 1e-9
     way = "back" if largest > 0 else "forward"
     return (
         f"the clock of {names} steps {way} by {abs(largest):.3f} s, {at_s:.1f} s after the start; the recording is cut "
