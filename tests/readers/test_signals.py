@@ -308,6 +308,26 @@ def test_a_driver_that_starts_again_beside_a_slip(tmp_path):
     np.testing.assert_allclose(signals.wheels["left"].value, slips, atol=0.02)
 
 
+@pytest.mark.parametrize("counts", [False, True])
+def test_a_driver_that_starts_again_in_a_pause(tmp_path, counts):
+    """Slower than 20 times the wheel: it shows by its zero alone, which a counter need not have had at first."""
+    times, angle = turning()
+    kept = (times < 11.5) | (times > 13.5)
+    times, angle = times[kept], angle[kept]
+    ticks = np.round(1e4 * angle / (2 * np.pi))
+    restarted = times > 12
+    read = np.where(restarted, ticks - ticks[restarted][0], ticks + 12_345)
+    if counts:
+        numbers = [r.Item("/t", at(t), r.number("Int32", int(n))) for t, n in zip(times, read, strict=True)]
+        source = with_left("/t", field="data", ticks_per_revolution=10_000)
+        signals = signals_of(tmp_path, [*images(), *joints(wheel_at(times, 0 * times)), *numbers], source)
+    else:
+        signals = joints_read(tmp_path, wheel_at(times, read * 2 * np.pi / 1e4))
+    turned = signals.wheels["left"].value
+    np.testing.assert_allclose(turned - turned[0], angle - angle[0], atol=0.02)
+    assert any("to zero in a pause of 2.1 s (a driver that started again?)" in n for n in signals.notes)
+
+
 def test_a_wrong_velocity_of_a_wheel_is_a_jump(tmp_path):
     times, angle = turning()
     rate = np.gradient(angle, times)

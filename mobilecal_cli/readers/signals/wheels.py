@@ -36,16 +36,22 @@ _MOST_BITS = 32  # no wheel turns by half the range of such a counter; wider one
 #: all others. No wheel accelerates like that from one reading to the next; a driver that starts again does.
 _JUMP_SHARE, _JUMP_SPEED = 0.01, 20.0
 _LEAST_INTERVAL_S = 0.01  # stamps of a burst of messages say nothing about the speed
+#: Readings, rad or m, that are zero after a pause, and were not before it: a driver that started again.
+_ZERO, _NOT_ZERO = 1e-3, 0.05
 
 
-def from_positions(source: WheelSource, position: Samples, notes: list[str]) -> Track:
+def from_positions(source: WheelSource, position: Samples, notes: list[str], zero: float = 0.0) -> Track:
     """A wheel's track from positions, rad, or from a counter, ticks.
+
+    Args:
+        zero: the reading of a driver that starts.
 
     Raises:
         RecordingError: readings do not fit the counter's width.
     """
     time_ns, readings = position.ordered(notes)
     value, turn = readings[:, 0], source.ticks_per_revolution or _TURN
+    restarts = starts_again(time_ns, (readings - zero) * _scale(source))
     bits = source.bits
     if bits is not None:
         check_width(position.label, (value.min(), value.max()), bits)
@@ -56,7 +62,7 @@ def from_positions(source: WheelSource, position: Samples, notes: list[str]) -> 
     elif jumps := _jumps_of_a_turn(time_ns, value, turn):
         notes.append(f"{position.label}: positions are wrapped to one turn; {jumps} jumps are undone")
         value = unwrap(time_ns, value, turn)
-    return without_jumps(position.label, Track(time_ns, value * _scale(source)), notes)
+    return without_jumps(position.label, Track(time_ns, value * _scale(source)), notes, restarts)
 
 
 def _scale(source: WheelSource) -> float:
@@ -150,7 +156,7 @@ class FieldWheel(FieldSource):
         return super().checked(notes)
 
     def track(self, samples: Samples, notes: list[str]) -> Track:
-        return from_positions(self._source, samples, notes)
+        return from_positions(self._source, samples, notes, zero=self.reading(0.0))
 
 
 def check_width(label: str, ticks: Iterable[float], bits: int) -> None:
@@ -197,24 +203,36 @@ def _at_mean_rate(step: FloatArray, seconds: FloatArray, unknown: IntArray) -> F
     return np.asarray((before + after) / 2 * seconds[unknown], dtype=np.float64)
 
 
-def without_jumps(label: str, track: Track, notes: list[str]) -> Track:
+def starts_again(time_ns: IntArray, readings: FloatArray) -> BoolArray:
+    """(n - 1,) over which pauses a driver starts again: its readings (n, k), rad or m, are zero after it."""
+    size = np.abs(readings).max(axis=1)
+    return pauses(time_ns) & (size[:-1] > _NOT_ZERO) & (size[1:] < _ZERO)
+
+
+def without_jumps(label: str, track: Track, notes: list[str], known: BoolArray | None = None) -> Track:
     """The track of a wheel, rad, with the mean rate before and after in place of jumps; notes where they are.
 
     A driver that starts again jumps, and so does a position that is computed from a counter with an end.
+
+    Args:
+        known: (n - 1,) further steps that are jumps.
     """
     step, seconds = np.diff(track.value), np.diff(track.time_ns) * 1e-9
     speed = np.abs(step) / np.maximum(seconds, _LEAST_INTERVAL_S)
     fast = float(np.quantile(speed, 1 - _JUMP_SHARE, method="higher")) if len(speed) else 0.0
-    jumps = np.flatnonzero((speed > _JUMP_SPEED * fast) & (np.abs(step) > _TURN))
+    too_fast = (speed > _JUMP_SPEED * fast) & (np.abs(step) > _TURN)
+    jumps = np.flatnonzero(too_fast if known is None else too_fast | known)
     if fast == 0 or not len(jumps):
         return track
     first = jumps[0]
     at_s = (track.time_ns[first] - track.time_ns[0]) * 1e-9
     times = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
+    how = f"{speed[first] / fast:.2g} times as fast as the wheel turns otherwise"
+    if pauses(track.time_ns)[first] and not too_fast[first]:
+        how = f"to zero in a pause of {seconds[first]:.1f} s"
     notes.append(
-        f"{label}: the rotation jumps {times} by {step[first]:.4g} rad, {at_s:.1f} s after the start, "
-        f"{speed[first] / fast:.2g} times as fast as the wheel turns otherwise (a driver that started "
-        "again?); the mean speed before and after is used there"
+        f"{label}: the rotation jumps {times} by {step[first]:.4g} rad, {at_s:.1f} s after the start, {how} "
+        "(a driver that started again?); the mean speed before and after is used there"
     )
     step[jumps] = _at_mean_rate(step, seconds, jumps)
     return Track(track.time_ns, track.value[0] + np.concatenate([[0.0], np.cumsum(step)]))
@@ -321,11 +339,8 @@ class OdometryWheel(Source):
                 f"and a separation of {wheels.separation_m * 1e3:g} mm; if the driver uses other values, the result "
                 "has the same relative error; the covariance of the odometry is ignored"
             )
-        if jumps:
-            notes.append(
-                f"{samples.topic}: the pose jumps {jumps} times; the wheels are assumed to stand still there"
-            )
-        return Track(time_ns, right if self._side == "right" else left)
+        track = Track(time_ns, right if self._side == "right" else left)
+        return without_jumps(f"{self._side} wheel of the {samples.label}", track, notes, jumps)
 
 
 def check_forward(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
@@ -450,7 +465,7 @@ def check_speed(topic: str, time_ns: IntArray, pose: FloatArray) -> None:
 def _steps(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     """Turn, way ahead and way to the left between consecutive poses, (n - 1,) each, and which of them are jumps.
 
-    Over a pause, no step is a jump.
+    Over a pause, only that of a driver that starts again is a jump.
     """
     turn = np.remainder(np.diff(pose[:, 2]) + math.pi, 2 * math.pi) - math.pi
     step = np.diff(pose[:, :2], axis=0)
@@ -458,12 +473,12 @@ def _steps(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray,
     ahead = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
     left = step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle)
     far = (np.hypot(*step.T) > _JUMP_M) | (np.abs(turn) > _JUMP_RAD)
-    return turn, ahead, left, far & ~pauses(time_ns)
+    return turn, ahead, left, far & ~pauses(time_ns) | starts_again(time_ns, pose)
 
 
 def rotations(
     time_ns: IntArray, pose: FloatArray, wheels: WheelGeometry
-) -> tuple[FloatArray, FloatArray, int]:
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Wheel rotations that move a differential drive along poses (inverse of the paper's eqs. 8-10).
 
     Between two poses the base moves along an arc of length chord * h / sin(h), where h is half the turn. It is
@@ -474,20 +489,15 @@ def rotations(
         pose: (n, 3) x, y, heading; the heading may be wrapped.
 
     Returns:
-        (n,) right and left rotation starting at zero, rad, and the number of jumps.
+        (n,) right and left rotation starting at zero, rad, and (n - 1,) which steps of them are jumps.
     """
     turn, chord, _, jumps = _steps(time_ns, pose)
     half = turn / 2
     small = np.abs(half) < _SMALL
     way = chord * np.where(small, 1.0, half / np.where(small, 1.0, np.sin(half)))
-    way, turn = np.where(jumps, 0.0, way), np.where(jumps, 0.0, turn)
     ahead = turn * wheels.separation_m / 2
     right, left = (way + ahead) / wheels.radius_right_m, (way - ahead) / wheels.radius_left_m
-    return (
-        np.concatenate([[0.0], np.cumsum(right)]),
-        np.concatenate([[0.0], np.cumsum(left)]),
-        int(jumps.sum()),
-    )
+    return np.concatenate([[0.0], np.cumsum(right)]), np.concatenate([[0.0], np.cumsum(left)]), jumps
 
 
 def add_wheel(read: Subscriptions, side: Side, source: WheelSource) -> Source:
