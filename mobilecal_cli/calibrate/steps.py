@@ -26,6 +26,7 @@ from mobilecal_cli.kinematics import FEWEST_LEGS
 from mobilecal_cli.model import (
     CHAIN_ENDS,
     CHAIN_LACKS,
+    CLOCK_SET,
     CLOCK_STEPS,
     FEW_READINGS,
     CalibratedRobot,
@@ -225,7 +226,7 @@ def fitted(
         )
     except SolveError as error:
         gaps = motion_gaps(extraction, constraints.fixed) if method == "ml" else ()
-        told = () if error.explained else (CHAIN_ENDS, CHAIN_LACKS, FEW_READINGS, CLOCK_STEPS)
+        told = () if error.explained else (CHAIN_ENDS, CHAIN_LACKS, FEW_READINGS, CLOCK_STEPS, CLOCK_SET)
         notes = [note.removesuffix(".") for note in extraction.notes if any(part in note for part in told)]
         cures = [*notes, *(gap.cure for gap in gaps)]
         if not cures:

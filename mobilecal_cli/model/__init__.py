@@ -70,6 +70,7 @@ from mobilecal_cli.model.robot_description import (
     TopicInfo,
 )
 from mobilecal_cli.model.signals import (
+    CLOCK_SET,
     CLOCK_STEPS,
     DEPTH_IMAGE,
     FEW_READINGS,

@@ -121,6 +121,8 @@ DEPTH_IMAGE = "a depth or disparity image, not one of a camera"
 FEW_READINGS = "too few readings per second"
 #: Part of a note on stamps of one topic.
 CLOCK_STEPS = "the clock steps back by up to"
+#: End of a note on topics that may have a clock of their own.
+CLOCK_SET = "their clock was set forward, or the other drivers stopped"
 #: In a note on odometry.
 TURNS_AT_REST = "the heading changes while the robot stands still"
 

@@ -29,6 +29,7 @@ from mobilecal_cli.model import (
     Track,
     camera_words,
 )
+from mobilecal_cli.model.signals import pauses
 from mobilecal_cli.model.text import capitalized
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.outliers import longest_stretch, moved_before
@@ -148,13 +149,14 @@ def pool_recordings(fit: Fit) -> Fit:
 
 
 def _gaps_on(extraction: Extraction, fit: Fit, leg: int) -> list[str]:
-    """Gaps of the wheels' readings on a leg; a driver that starts again there is mended where readings are read."""
+    """Pauses of the wheels' readings between the stations of a leg, in which the base may have driven unseen."""
     start, end = (extraction.observations[k] for k in fit.data.legs[leg].tolist())
     sides: dict[str, list[str]] = {}
     for side in SIDES:
         track: Track = getattr(extraction.wheels[start.log], side)
-        for begin_ns, end_ns in zip(track.time_ns[track.gaps], track.time_ns[track.gaps + 1], strict=True):
-            if end_ns > start.time_ns and begin_ns < end.time_ns:
+        for begin in np.flatnonzero(pauses(track.time_ns)):
+            begin_ns, end_ns = track.time_ns[begin : begin + 2]
+            if start.time_ns < begin_ns and end_ns < end.time_ns:
                 sides.setdefault(f"a gap of {(end_ns - begin_ns) * 1e-9:.1f} s", []).append(side)
     wheels = {gap: f"the {of[0]} wheel" if len(set(of)) == 1 else "both wheels" for gap, of in sides.items()}
     return [f"{gap} in the readings of {of}" for gap, of in wheels.items()]

@@ -1,9 +1,11 @@
 """Clock steps: where a recording is cut, and what the clocks are in its pieces."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from mobilecal_cli.readers.signals.series import Samples, cut, pause_notes, steps_of
+from mobilecal_cli.readers.signals.series import Samples, cut, end_notes, pause_notes, steps_of
 
 S = 10**9
 MS = 10**6
@@ -43,6 +45,37 @@ def test_a_step_of_some_clocks_is_undone_by_its_size(step_s, stepping):
     left, right = second[1:]
     if stepping == "/left /right":  # they stay as simultaneous as they are
         np.testing.assert_array_equal(left.time_ns, right.time_ns)
+
+
+@pytest.mark.parametrize("step_s", [-5, 5])
+@pytest.mark.parametrize("stepping", ["/joints", "/left /right"])
+def test_a_step_of_the_log_times_of_some_topics_shows_in_their_ends(step_s, stepping):
+    rates = {"/joints": 50, "/left": 5, "/right": 5}
+    series = [samples(name, hz, step_s=step_s if name in stepping else 0) for name, hz in rates.items()]
+    logged = []
+    for one in series:
+        log_ns = one.log_ns + one.stamp_ns - np.round(one.value[:, 0] * S).astype(np.int64)
+        logged.append(replace(one, log_ns=log_ns).rows(np.argsort(log_ns, kind="stable"), 0))
+    (before, after), (note,) = cut(logged)
+    for part in (*before, *after):
+        assert len(part) > 50
+        assert np.abs(part.time_ns / S - part.value[:, 0]).max() < 0.25
+    way = "back" if step_s < 0 else "forward"
+    assert note.startswith(f"the clock of {stepping.replace(' ', ', ')} steps {way} by ")
+    assert end_notes(logged) == end_notes(series) == []
+
+
+def test_rare_images_that_end_late_are_noted():
+    rare = samples("/left", 0.25)
+    late_ns = np.where(rare.value[:, 0] > 20, 6 * S, 0)
+    late = replace(rare, stamp_ns=rare.stamp_ns + late_ns, log_ns=rare.log_ns + late_ns)
+    others = [samples("/j"), samples("/w")]
+    (note,) = end_notes([late, *others])
+    assert note.startswith(
+        "/left: messages come until 2.0 s after the last ones of all other topics, and there is a"
+    )
+    assert len(cut([late, *others])[0]) == 1
+    assert end_notes([rare, *others]) == []
 
 
 def test_clocks_of_two_computers_step_by_different_amounts():

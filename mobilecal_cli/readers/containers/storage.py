@@ -218,7 +218,7 @@ def expand(source: BinaryIO, target: Path) -> str:
             sink.write(piece)
 
 
-#: Smallest step forward, which messages that were held back look like, also in multiples of the changes of a topic's
+#: Smallest step forward, which messages that wait in a queue look like, also in multiples of the changes of a topic's
 #: lag that are not rare: a slow playback is no step. Smallest one back, which makes time run backward.
 LEAST_STEP_NS = 1_000_000_000
 _LEAST_RATIO, _NOT_RARE = 10, 0.9

@@ -29,6 +29,7 @@ from mobilecal_cli.readers.signals.series import (
     Samples,
     clock_notes,
     cut,
+    end_notes,
     pause_notes,
     without_stale,
     without_strays,
@@ -93,7 +94,14 @@ def read_signals(recording: Recording, sources: Sources, extent: Extent = EVERYT
     samples = without_strays([source.samples(notes) for source in sources_used], notes)
     pieces, steps = cut(samples)
     changes = [note for topic in infos.values() for note in topic.notes(recording.start_ns)]
-    notes = [*clock_notes(read.clocks.values()), *steps, *pause_notes(samples), *changes, *notes]
+    notes = [
+        *clock_notes(read.clocks.values()),
+        *steps,
+        *end_notes(samples),
+        *pause_notes(samples),
+        *changes,
+        *notes,
+    ]
     of_none = {info.name for info in recording.topics if info.type in IMAGES} - {*sources.image.values()}
     logged = recording.log_times() if images and of_none else {}
     corrected = {name: topic.infos[topic.usual] for name, topic in infos.items() if topic.usual}

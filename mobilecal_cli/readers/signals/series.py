@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import CLOCK_STEPS, BoolArray, FloatArray, IntArray, Track
+from mobilecal_cli.model import CLOCK_SET, CLOCK_STEPS, BoolArray, FloatArray, IntArray, Track
 from mobilecal_cli.readers.containers.storage import LEAST_BACK_NS, LEAST_STEP_NS, steps_of
 
 
@@ -394,17 +394,21 @@ def cut(series: Sequence[Samples]) -> tuple[list[tuple[Samples, ...]], list[str]
     Args:
         series: everything that is read, each with increasing log times.
     """
-    steps = [steps_of(samples.stamp_ns, samples.log_ns) for samples in series]
+    groups = _together(series, [steps_of(samples.stamp_ns, samples.log_ns) for samples in series])
+    series, with_log_ns = (series, {}) if groups else _with_log_times(series)
     starts = [[0] for _ in series]
     shifts = [[0] for _ in series]
     notes = []
-    for group in _together(series, steps):
+    for group in groups or [{k: index for k, (index, _) in with_log_ns.items()}] * bool(with_log_ns):
         around_ns = np.array([series[k].log_ns[[index - 1, index]] for k, index in group.items()])
         at_ns = (int(around_ns[:, 0].max()) + int(around_ns[:, 1].min())) // 2
         begins = [
             group.get(k, int(np.searchsorted(samples.log_ns, at_ns))) for k, samples in enumerate(series)
         ]
-        changes = [_change(samples, starts[k][-1], begins[k]) for k, samples in enumerate(series)]
+        changes = [
+            with_log_ns[k][1] if k in with_log_ns else _change(samples, starts[k][-1], begins[k])
+            for k, samples in enumerate(series)
+        ]
         smallest_ns = min((abs(change) for k in group if (change := changes[k])), default=0)
         same_ns = min(_SAME_NS, max(smallest_ns, LEAST_BACK_NS) // 2)
         sizes = _sizes(changes, same_ns)
@@ -420,6 +424,84 @@ def cut(series: Sequence[Samples]) -> tuple[list[tuple[Samples, ...]], list[str]
         tuple(s.rows(slice(starts[k][p], ends[k][p]), shifts[k][p]) for k, s in enumerate(series))
         for p in range(len(notes) + 1)
     ], notes
+
+
+#: Topics of at least so many messages end together up to this. Where a clock steps back, two stretches of messages lie
+#: in one another: so many times as many as usual.
+_FEWEST, _ENDS_NS, _CROWD = 10, 300_000_000, 1.6
+
+
+def _ends_apart(series: Sequence[Samples]) -> tuple[int, list[int], list[int]]:
+    """How much later than all others some topics end, ns, and numbers of these and of the other series.
+
+    0 and none if that is less than a step, or than twice the pauses of the last ones of these others.
+    """
+    if len(series) < 2 or min(len(samples) for samples in series) < _FEWEST:
+        return 0, [], []
+    ends = np.array([samples.log_ns[-1] for samples in series])
+    order, apart_ns = np.argsort(ends), np.diff(np.sort(ends))
+    split, size_ns = int(np.argmax(apart_ns)) + 1, int(apart_ns.max())
+    if size_ns < max(LEAST_STEP_NS, 2 * int(np.diff(series[order[split - 1]].log_ns).max())):
+        return 0, [], []
+    return size_ns, order[split:].tolist(), order[:split].tolist()
+
+
+def _with_log_times(series: Sequence[Samples]) -> tuple[list[Samples], dict[int, tuple[int, int]]]:
+    """A step of the clock that gives the log times of some topics, too, so that the lags tell nothing.
+
+    After a step forward, these topics have a pause that no other has, and end later than all others by as much. After
+    one back, they end earlier, and two stretches of messages lie in one another.
+
+    Args:
+        series: everything that is read.
+
+    Returns:
+        The series, without such stretches, and number of a series whose clock steps → index of its first message after
+        the step, and size of the step back, ns. Empty without a step.
+    """
+    size_ns, late, early = _ends_apart(series)
+    forward = {k: _pause(series[k].log_ns, size_ns) for k in late}
+    if all(forward.values()) and not any(_pause(series[k].log_ns, size_ns) for k in early):
+        return list(series), {k: (index, -size_ns) for k, index in forward.items()}
+    back = {k: _crowd(series[k].log_ns, size_ns) for k in early}
+    if not all(last for _, last in back.values()):
+        return list(series), {}
+    begin_ns = min(int(series[k].log_ns[first]) for k, (first, _) in back.items())
+    end_ns = max(int(series[k].log_ns[last - 1]) for k, (_, last) in back.items())
+    left = []
+    for k, samples in enumerate(series):
+        span = back.get(k) or np.searchsorted(samples.log_ns, [begin_ns, end_ns + size_ns])
+        left.append(samples.rows(np.delete(np.arange(len(samples)), slice(*span)), 0))
+    return left, {k: (first, size_ns) for k, (first, _) in back.items()}
+
+
+def _pause(log_ns: IntArray, size_ns: int) -> int:
+    """Index of the first message after the only pause that is as long as a step; 0 without one."""
+    gaps = np.diff(log_ns)
+    usual_ns, longest_ns = np.partition(gaps, -2)[-2:].tolist()
+    fits = size_ns - _ENDS_NS < longest_ns < size_ns + 2 * usual_ns + _ENDS_NS
+    return int(np.argmax(gaps)) + 1 if fits and usual_ns < min(size_ns, longest_ns / 2) else 0
+
+
+def _crowd(log_ns: IntArray, size_ns: int) -> tuple[int, int]:
+    """Indices of the first message, and after the last, of the time of a step with the most messages; 0, 0 if usual."""
+    counts = np.searchsorted(log_ns, log_ns + size_ns + 2 * _ENDS_NS) - np.arange(len(log_ns))
+    first = int(np.argmax(counts))
+    many = (_CROWD * size_ns + 2 * _ENDS_NS) / float(np.median(np.diff(log_ns)))
+    return (first, first + int(counts[first])) if counts[first] > many else (0, 0)
+
+
+def end_notes(series: Sequence[Samples]) -> list[str]:
+    """A note on topics that end later than all others and have a pause: it may be a step, but not surely."""
+    size_ns, late, _ = _ends_apart(series)
+    pauses_ns = [int(np.diff(series[k].log_ns).max()) for k in late]
+    if _with_log_times(series)[1] or min(pauses_ns, default=0) < size_ns - _ENDS_NS or not late:
+        return []
+    names = ", ".join(dict.fromkeys(series[k].topic for k in late))
+    return [
+        f"{names}: messages come until {size_ns * 1e-9:.1f} s after the last ones of all other topics, and there is a "
+        f"pause of {min(pauses_ns) * 1e-9:.1f} s: {CLOCK_SET}"
+    ]
 
 
 def pause_notes(series: Sequence[Samples]) -> list[str]:

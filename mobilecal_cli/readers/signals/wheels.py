@@ -206,7 +206,7 @@ def _at_mean_rate(step: FloatArray, seconds: FloatArray, unknown: IntArray) -> F
 def starts_again(time_ns: IntArray, readings: FloatArray) -> BoolArray:
     """(n - 1,) over which pauses a driver starts again: its readings (n, k), rad or m, are zero after it."""
     size = np.abs(readings).max(axis=1)
-    return pauses(time_ns) & (size[:-1] > _NOT_ZERO) & (size[1:] < _ZERO)
+    return np.asarray(pauses(time_ns) & (size[:-1] > _NOT_ZERO) & (size[1:] < _ZERO))
 
 
 def without_jumps(label: str, track: Track, notes: list[str], known: BoolArray | None = None) -> Track:
