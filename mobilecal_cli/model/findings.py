@@ -193,6 +193,7 @@ class Jump:
         turn_rad, move_m: its size; 0 where it has no such part. Of a wheel: change of the radius, of both: the
             larger one.
         also: another part that explains the recording about as well, and moves the result less; "" if none does.
+        share: relative change of a focal length, the largest; 0 for other parts.
     """
 
     part: str
@@ -205,6 +206,7 @@ class Jump:
     turn_rad: float
     move_m: float
     also: str = ""
+    share: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -295,6 +295,7 @@ def jump(case: Case, metric: Metric) -> Iterator[Check]:
         what, moved, cure = _part_words(change.part, case.extraction)
         parts = [f"{std_text(1e3 * abs(change.move_m))} mm"] if change.move_m else []
         parts += [f"{std_text(math.degrees(change.turn_rad))} degrees"] if change.turn_rad else []
+        parts += [f"{std_text(100 * change.share)} %"] if change.share else []
         size = " by " + " and ".join(parts) if parts else ""
         if change.also:
             other, _, also = _part_words(change.also, case.extraction)
@@ -302,6 +303,13 @@ def jump(case: Case, metric: Metric) -> Iterator[Check]:
         images, wheels = change.rejected
         unused = [f"the images of {images} station{'s' * (images > 1)}"] if images else []
         unused += [f"the wheels on {wheels} leg{'s' * (wheels > 1)}"] if wheels else []
+        elsewhere = [
+            outlier
+            for outlier in case.solution.outliers
+            if outlier.kind == "slip"
+            and outlier.log == change.log
+            and change.station not in outlier.observations
+        ]
         rest = f" Around this time, {' and '.join(unused)} do not fit the others, and are not used."
         lost = rest if unused else ""
         station = f"station {names[change.station]} ({at_s:.1f} s)"
@@ -315,6 +323,9 @@ def jump(case: Case, metric: Metric) -> Iterator[Check]:
         if small:
             lost = f" That moves the result by {std_text(change.shift_sigmas)} sigma only."
             then = "Do so before the next recording."
+        if change.part == "board" and elsewhere:
+            legs = f"{len(elsewhere)} other leg{'s' * (len(elsewhere) > 1)}"
+            lost += f" It may have moved on {legs}, too, as outliers show."
         yield metric.check(
             change.shift_sigmas if math.isfinite(change.shift_sigmas) else None, limit,
             "changes inside the recording", f"{cure}. {then}",

@@ -101,8 +101,10 @@ def jumps_of(extraction: Extraction, fit: Fit, jump: jumps.Jump | None) -> tuple
     turns, value, cameras = jumps.turning(fit.data, jump), jump.value, fit.data.cameras
     turn, others = float(np.linalg.norm(value[turns])), value[~turns]
     of_pair = cameras.calibrated and jump.part == camera_words(cameras.names[1])
-    no_move = of_pair or jump.part in (jumps.SIZE, jumps.SHAPE) or jump.part.startswith(jumps.FOCAL)
+    of_focal = jump.part.startswith(jumps.FOCAL)
+    no_move = of_pair or of_focal or jump.part in (jumps.SIZE, jumps.SHAPE)
     move = 0.0 if no_move else float(np.linalg.norm(others))
+    share = float(np.abs(value).max()) if of_focal else 0.0
     if jump.part in jumps.WHEELS or jumps.slides(fit.data, jump):
         move = float(value[np.argmax(np.abs(value))])
     if jump.shift_sigmas < MATERIAL_SIGMAS and turns.any() and turn < SMALL_RAD:
@@ -112,7 +114,7 @@ def jumps_of(extraction: Extraction, fit: Fit, jump: jumps.Jump | None) -> tuple
             return ()
     o = extraction.observations[jump.station]
     sizes = jump.sigmas, jump.shift_sigmas, turn, move
-    return (Jump(jump.part, o.log, jump.station, o.time_ns, (0, 0), *sizes, jump.also),)
+    return (Jump(jump.part, o.log, jump.station, o.time_ns, (0, 0), *sizes, jump.also, share),)
 
 
 def _unexplained(extraction: Extraction, fit: Fit, stretch: IntArray) -> Jump:

@@ -405,6 +405,18 @@ def test_what_changed_is_called_by_its_name(part, joints, said):
     assert said in f"{check.why} {check.next_step}"
 
 
+def test_the_size_of_another_focus_and_further_moves_of_a_board_are_said():
+    solution, extraction = drawn()
+    focus = replace(jump("focal length of the left camera", extraction, move_m=0.0), share=0.003)
+    check = judge(replace(solution, jumps=(focus,)), extraction).check("jump")
+    assert "the focal length of the left camera changed by 0.30 %." in check.why
+    moved = jump("board", extraction)
+    slips = [Outlier("slip", 0, (k, k + 1), moved.time_ns, "") for k in (2, 5)]
+    for outliers, said in ((slips[:1], True), (slips[1:], False)):
+        check = judge(replace(solution, jumps=(moved,), outliers=tuple(outliers)), extraction).check("jump")
+        assert ("It may have moved on 1 other leg, too, as outliers show." in check.why) == said
+
+
 def test_a_small_change_that_makes_the_floor_uneven_is_the_cause():
     """A board that is pushed before a camera on the base: the floor was 95 % of "record twice as many stops"."""
     solution, extraction = drawn()
