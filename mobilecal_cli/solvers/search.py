@@ -313,11 +313,13 @@ class Search:
             others = readings.of(slice(cut, None))
             diagnosis = _same_view(others)
             after = None if diagnosis is not None else fit_of(slice(cut, None))
-            if after is not None:
-                return self._change(cut, before, after)
-            diagnosis = diagnosis or self._named(others, WHOLE[:1])
+            # Turned around, a camera on the base fits readings with the other sign.
+            alike = after is not None and abs(after.turned_rad - before.turned_rad) < _AROUND_RAD
+            diagnosis = diagnosis if diagnosis or alike else self._named(others, WHOLE[:1])
             if diagnosis is not None:
                 return replace(diagnosis, cause=f"from about {readings.at_s(cut)} s on, {diagnosis.cause}")
+            if after is not None:
+                return self._change(cut, before, after)
         return None
 
     def _change(self, cut: int, before: _Score, after: _Score) -> Diagnosis:
@@ -334,8 +336,13 @@ class Search:
                 for side, factor in zip(SIDES, factors.tolist(), strict=True)
                 if abs(factor - 1) > _CHANGED_SCALE
             )
+        some = (
+            "a wheel, a joint or a camera changes"
+            if readings.rig.chain.joints
+            else "a wheel or a camera changes"
+        )
         return Diagnosis(
-            f"{what or 'a wheel, a joint or a camera changes'} between {readings.at_s(cut - 1)} and "
+            f"{what or some} between {readings.at_s(cut - 1)} and "
             f"{readings.at_s(cut)} s: the recording fits before and after, but not as a whole",
             "check the wheels, the head, the cameras and the board at this time, and record again without the change",
             self._base,

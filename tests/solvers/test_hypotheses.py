@@ -203,6 +203,14 @@ def test_a_wheel_whose_readings_stop_under_a_fixed_camera_is_named(seed, images)
 
 
 @pytest.mark.long
+def test_encoders_that_change_their_sign_under_a_fixed_camera_are_named():
+    """Turned around, the camera fits the others: it was "a wheel, a joint or a camera changes"."""
+    made = simulated("standard", NOISE, "fixed_camera", stations=14, seed=3)
+    change = meaning.after(np.negative, 7, lambda: made)
+    assert re.search("from about .* on, the encoders of both wheels have", said_of(both(change)(made)))
+
+
+@pytest.mark.long
 def test_an_eccentric_wheel_is_not_blamed_on_a_joint_alone(recorded):
     """Pan explains what a short drive shows of a heading error, but the wheels explain more."""
 
