@@ -151,14 +151,19 @@ def pool_recordings(fit: Fit) -> Fit:
 
 
 def _gaps_on(extraction: Extraction, fit: Fit, leg: int) -> list[str]:
-    """Pauses of the wheels' readings between the stations of a leg, in which the base may drive unseen."""
+    """Pauses of the wheels' readings on a leg, in which the base may drive unseen.
+
+    A driver that publishes changes alone pauses at most stations: then only those in which the wheel turned.
+    """
     start, end = (extraction.observations[k] for k in fit.data.legs[leg].tolist())
+    stations = int(np.sum(fit.data.log == start.log))
     sides: dict[str, list[str]] = {}
     for side in SIDES:
         track: Track = getattr(extraction.wheels[start.log], side)
-        for begin in np.flatnonzero(pauses(track.time_ns)):
+        silent = np.flatnonzero(pauses(track.time_ns))
+        for begin in silent if 2 * len(silent) < stations else track.gaps:
             begin_ns, end_ns = track.time_ns[begin : begin + 2]
-            if start.time_ns <= begin_ns and end_ns <= end.time_ns:
+            if end_ns > start.time_ns and begin_ns < end.time_ns:
                 sides.setdefault(f"a gap of {(end_ns - begin_ns) * 1e-9:.1f} s", []).append(side)
     wheels = {gap: f"the {of[0]} wheel" if len(set(of)) == 1 else "both wheels" for gap, of in sides.items()}
     return [f"{gap} in the readings of {of}" for gap, of in wheels.items()]

@@ -87,9 +87,22 @@ def spun(extraction, lost):
     return replace(extraction, wheels=(WheelTrack(right, track.left),))
 
 
+def restarted(extraction):
+    """Neither wheel has readings over leg 5, and after it, both go on where they were."""
+    (track,), (first, second) = extraction.wheels, extraction.observations[5:7]
+    later = track.time_ns >= second.time_ns
+    kept = (track.time_ns <= first.time_ns) | later
+    sides = (
+        t.value - later * np.diff(t.at(np.array([first.time_ns, second.time_ns])))
+        for t in (track.right, track.left)
+    )
+    return replace(extraction, wheels=(WheelTrack(*(Track(track.time_ns[kept], v[kept]) for v in sides)),))
+
+
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
+        (restarted, r"A gap of \d+\.\d s in the readings of both wheels between stations 5 and 6"),
         (
             lambda e: spun(e, True),
             r"A gap of \d+\.\d s in the readings of the right wheel between stations 5 and 6",
