@@ -123,7 +123,7 @@ def test_a_board_that_one_camera_shows_is_where_the_estimated_camera_has_it(came
 def test_a_pair_of_which_one_camera_sees_the_board(name, square_m):
     """Stations with one camera add to those with both; half of them with each camera alone."""
     robot = ROBOTS[name]()
-    both, whole = recorded(ROBOTS[name], 3)
+    both, whole = recorded(ROBOTS[name], 0)
     single = with_one_view(both, {i: (i // 2) % 2 for i in range(1, 20, 2)})
     pairs = tuple(o for o in single.observations if o.several)
     assert len(pairs) == 10

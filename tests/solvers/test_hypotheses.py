@@ -161,14 +161,15 @@ def test_the_diagnosis_names_the_mistake(recorded, name):
     assert cause in Search(spoil(recorded)).diagnosis.cause
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "stated"),
     [
         ("right wheel frozen", None),
-        pytest.param("pan frozen", ROBOT.wheels, marks=pytest.mark.long),
-        pytest.param("pan frozen", None, marks=pytest.mark.long),
-        pytest.param("tilt frozen", None, marks=pytest.mark.long),
-        pytest.param("both wheels frozen", None, marks=pytest.mark.long),
+        ("pan frozen", ROBOT.wheels),
+        ("pan frozen", None),
+        ("tilt frozen", None),
+        ("both wheels frozen", None),
     ],
 )
 def test_a_reading_that_never_changes_is_named_without_a_nominal_camera(recorded, name, stated):
@@ -375,15 +376,9 @@ def test_a_change_that_jumps_name_has_no_other_cause(name):
     assert found is None or found.cause.startswith("the readings of the wheels jump")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
-    "name",
-    [
-        *(
-            pytest.param(name, marks=pytest.mark.long)
-            for name in ("joints in steps of 5 degrees", "images of two stations exchanged")
-        ),
-        "board held in a hand",
-    ],
+    "name", ["joints in steps of 5 degrees", "images of two stations exchanged", "board held in a hand"]
 )
 def test_nothing_is_named_for_what_no_hypothesis_explains(name):
     assert Search(WRONG[name].change(meaning.recorded())).diagnosis is None

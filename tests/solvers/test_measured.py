@@ -1,6 +1,7 @@
 """Poses that somebody else measured in place of corners."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from tests.truth import parameters_of
 SIGMA = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])  # rad, m
 
 
+@cache
 def drive(seed, stated=1.0, times=1.0):
     """A pan-tilt robot's poses of a target, with noise of `times` `SIGMA`; the covariance is stated with another scale."""
     robot, random, sigma = paper_robot(), np.random.default_rng(seed), times * SIGMA
