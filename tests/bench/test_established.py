@@ -49,19 +49,3 @@ def test_the_sum_of_squares_is_the_products(case):
     total = sum(np.sum(term(False, number, *blocks)[0] ** 2) for term, number, blocks in all_terms(terms, at))
     ours = replace(likelihood_at(terms.data, terms.start), state=terms.state(at)).cost
     assert ours == pytest.approx(total, rel=1e-9)  # the product's floor may be off by a microradian here
-
-
-def test_derivatives_against_differences(case):
-    terms, at = case
-    for term, number, blocks in all_terms(terms, at):
-        residual, derivatives = term(True, number, *blocks)
-        np.testing.assert_array_equal(residual, term(False, number, *blocks)[0])
-        for k, derivative in enumerate(derivatives):
-            for column in range(len(blocks[k])):
-                ends = []
-                for by in (1e-6, -1e-6):
-                    there = [block.copy() for block in blocks]
-                    there[k][column] += by
-                    ends.append(term(False, number, *there)[0])
-                slope = (ends[0] - ends[1]) / 2e-6
-                assert derivative[:, column] == pytest.approx(slope, abs=1e-6 * np.abs(derivative).max())

@@ -56,15 +56,6 @@ def test_a_new_directory(tmp_path, monkeypatch):
     assert (tmp_path / "out" / "params.yaml").stat().st_mode & 0o777 == 0o640
 
 
-def test_an_old_one_is_kept_without_force(tmp_path):
-    out = old_output(tmp_path / "out")
-    before = tree(tmp_path)
-    with pytest.raises(OutputError, match="already exists") as caught:
-        write_outputs({out: FILES}, force=False)
-    assert "--force" in caught.value.hint
-    assert tree(tmp_path) == before
-
-
 @pytest.mark.parametrize("make", [old_output, Path.mkdir])
 def test_force_replaces_all_of_an_old_one_and_fills_an_empty_one(tmp_path, make):
     make(tmp_path / "out")
@@ -122,12 +113,6 @@ def test_links_and_files_are_refused(tmp_path, force):
         with pytest.raises(OutputError, match=said):
             write_outputs({tmp_path / name: FILES}, force)
     assert tree(tmp_path) == before
-
-
-def test_checking_changes_nothing(tmp_path):
-    check_directory(tmp_path / "new", force=False)
-    check_directory(old_output(tmp_path / "old"), force=True)
-    assert tree(tmp_path) == {"old": "directory", "old/params.yaml": OURS + b"old", "old/report.html": b"old"}
 
 
 def fail_on(monkeypatch, owner, name, nth, error):

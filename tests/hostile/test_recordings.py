@@ -213,13 +213,6 @@ def test_a_compressed_picture_of_60000_by_60000(make):
         decode_image(message)
 
 
-@pytest.mark.parametrize("step", [0, 60_000])
-def test_a_raw_picture_of_60000_by_60000(step):
-    message = r.image(r.picture(0), "mono8", width=60_000, height=60_000, step=step)(r.ROS2)
-    with bounded(), pytest.raises(RecordingError, match="60000x60000"):
-        decode_image(message)
-
-
 def defined(*types: tuple[str, str]) -> str:
     (_, first), *others = types
     return first + "".join(f"{_SEPARATOR}MSG: {name}\n{body}" for name, body in others)

@@ -10,7 +10,6 @@ import pytest
 
 from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
 from mobilecal_cli.export.extraction import LARGEST_BYTES, extraction_from_npz, extraction_to_npz
-from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.rig.config import load_rig, parse_settings, read_urdf
 from tests.hostile.test_recordings import LAUGHS, MEMORY_BYTES, bounded
@@ -48,12 +47,6 @@ def test_rig_yaml(tmp_path, name):
 def test_a_setting_on_the_command_line(value):
     with bounded(), pytest.raises(ConfigError):
         parse_settings([f"board={value}"])
-
-
-def test_params_yaml():
-    for content, _ in YAMLS.values():
-        with bounded(), pytest.raises(ConfigError):
-            parameters_from_yaml(content, "params.yaml")
 
 
 def test_a_configuration_that_is_no_file(tmp_path):

@@ -34,16 +34,6 @@ from tests.report.example import (
 )
 
 
-def test_a_robot_drawn_from_the_priors_passes():
-    solution, extraction = drawn()
-    verdict = judge(solution, extraction)
-    assert verdict.level == "PASS", verdict.reason
-    assert "All are within the default limits." in verdict.reason
-    assert verdict.next_step == "Use params.yaml on the robot."
-    mine = judge(solution, extraction, {"predicted.camera_mm": 15.0})
-    assert "All are within your limits." in mine.reason
-
-
 def test_the_limits_are_those_of_the_page():
     text = (Path(__file__).parents[2] / "docs" / "how-to" / "read-the-report.md").read_text()
     for figure in FIGURES:

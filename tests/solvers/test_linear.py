@@ -88,17 +88,6 @@ def test_several_logs_join_no_leg_between_them():
     assert largest_error(linear_estimate(both)) < EXACT
 
 
-def test_the_boards_frame_does_not_matter():
-    pairs = pairs_of(4)
-    random = np.random.default_rng(0)
-    turned = np.linalg.qr(random.normal(size=(3, 3)))[0]
-    turned *= np.sign(np.linalg.det(turned))
-    T_k_other = np.eye(4)
-    T_k_other[:3, :3], T_k_other[:3, 3] = turned, random.normal(size=3)
-    estimate = linear_estimate(replace(pairs, T_c_k=pairs.T_c_k @ T_k_other))
-    assert largest_error(estimate) < EXACT
-
-
 def changed_wheels(pairs, right_sign=1, left_sign=1, swapped=False):
     right, left = right_sign * pairs.steps.right_rad, left_sign * pairs.steps.left_rad
     if swapped:

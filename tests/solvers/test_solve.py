@@ -14,16 +14,6 @@ from tests.extractions import Noise, Outside, extraction_of, simulated
 from tests.truth import errors
 
 
-@pytest.mark.parametrize(("name", "method"), [("paper", "linear"), ("tick", "lm"), ("tick", "paper")])
-def test_exact_data_gives_the_truth(name, method):
-    robot = ROBOTS[name]()
-    extraction = simulated(robot=robot, seed=0, nominal=False)
-    solution = solve(extraction, method)
-    assert np.abs(errors(solution.parameters, robot)).max() < 1e-9
-    assert solution.reprojection_rms_px < 1e-9
-    assert (solution.refinement is None) == (method == "linear")
-
-
 def test_a_robot_in_motion_gives_the_truth():
     """Large turns: tests/solvers/test_linear.py. Stamps are whole nanoseconds: 0.5 ns at 5 rad/s of a wheel are left."""
     robot = ROBOTS["paper"]()
