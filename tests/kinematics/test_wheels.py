@@ -52,22 +52,6 @@ def test_motions_by_hand(steps, psi_rad, t_m):
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
-def test_arcs_agree_with_fine_euler_steps(seed):
-    random = np.random.default_rng(seed)
-    right, left = random.uniform(-2, 2, (2, 3))
-    motion = integrate(one_leg(*zip(right, left, strict=True)), WHEELS)
-    n = 20_000
-    x = y = theta = 0.0
-    for dr, dl in zip(right, left, strict=True):
-        ds, dth = (0.2 * dr + 0.25 * dl) / 2 / n, (0.2 * dr - 0.25 * dl) / 0.5 / n
-        angles = theta + dth * (np.arange(n) + 0.5)
-        x, y, theta = x + ds * np.cos(angles).sum(), y + ds * np.sin(angles).sum(), theta + n * dth
-    assert motion.t_m[0] == pytest.approx([x, y], abs=1e-8)
-    assert motion.psi_rad[0] == pytest.approx(theta)
-
-
-@given(st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
 def test_jacobian_against_differences(seed):
     random = np.random.default_rng(seed)
