@@ -258,6 +258,20 @@ def test_a_file_added_to_the_replaced_output_is_kept(tmp_path, monkeypatch):
     assert (kept / "out/thesis.tex").read_text() == "precious"
 
 
+def test_a_file_added_just_before_the_exchange_is_kept(tmp_path, monkeypatch):
+    out, rename = old_output(tmp_path / "out"), placing._rename
+
+    def late(source, target, flag):
+        if flag == placing._EXCHANGE and not (source / "thesis.tex").exists():
+            (target / "thesis.tex").write_text("precious")
+        return rename(source, target, flag)
+
+    monkeypatch.setattr(placing, "_rename", late)
+    with pytest.raises(OutputError, match="not an output directory"):
+        write(out, FILES, force=True)
+    assert (out / "thesis.tex").read_text() == "precious"
+
+
 @pytest.mark.parametrize("check", [check_directory, check_output])
 def test_paths_are_checked_before_the_work(tmp_path, check):
     with pytest.raises(OutputError, match="File name too long"):
@@ -268,6 +282,9 @@ def test_paths_are_checked_before_the_work(tmp_path, check):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="is not a directory"):
         check(tmp_path / "file" / "out", False)
+    (old_output if check is check_output else Path.touch)(tmp_path / "old")
+    with pytest.raises(OutputError, match="already exists"):
+        check(tmp_path / "old", False)
 
 
 def test_the_longest_name(tmp_path):
