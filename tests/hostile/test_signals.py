@@ -18,7 +18,7 @@ from tests.command import python
 from tests.hostile.refusals import extraction
 
 SEMAPHORES = Path("/dev/shm")
-TERM, HUP, INT = signal.SIGTERM, signal.SIGHUP, signal.SIGINT
+KILL, TERM, HUP, INT = signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT
 NAMES = ["extraction.npz", "params.yaml", "report.html", "report.json"]
 
 
@@ -354,3 +354,35 @@ main()
 """
     result = python("-c", code)
     assert (result.returncode, result.stderr) == (-INT, "")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("number", "count", "of"),
+    [(number, k, of) for number, of in ((KILL, 20), (TERM, 10), (HUP, 5)) for k in range(of)],
+)
+def test_at_any_moment_of_a_replacement(sample_logs, tmp_path, number, count, of):
+    """An output is replaced; the moments are spread over the last half of the run."""
+    logs = [sample_logs / "straight.mcap", "-o", "out", "--force"]
+    process = started(["calibrate", *logs], tmp_path)
+    began = time.monotonic()
+    process.communicate()
+    lasted = time.monotonic() - began
+    old = (tmp_path / "out/params.yaml").stat().st_ino
+    process = started(["calibrate", *logs], tmp_path)
+    time.sleep(lasted * (0.5 + count / of / 2))
+    code, err = ended(process, number, everyone=bool(count % 2))
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == NAMES
+    if number != KILL:
+        assert "Traceback" not in err
+        assert code in (128 + number, -number, 6)  # -number: Python has ended but for its own cleaning up
+        assert whole_or_nothing(tmp_path)
+        assert not list((tmp_path / "tmp").iterdir())
+        if code == 128 + number:
+            changed = (tmp_path / "out/params.yaml").stat().st_ino != old
+            said = "interrupted: written" if changed else "interrupted: nothing"
+            assert err.splitlines()[-1].startswith(said)
+    process = started(["calibrate", *logs], tmp_path)
+    process.communicate()
+    assert whole_or_nothing(tmp_path)
+    assert not list((tmp_path / "tmp").iterdir())
