@@ -148,13 +148,13 @@ _NOT_DRIVEN = {
 
 
 def _wheel_words(name: str) -> list[str]:
-    """`words`, also of names that are written together: "/lwheel_ticks" → ["l", "wheel", "ticks"]."""
-    return [part for word in words(name) for part in re.sub("wheels?", " wheel ", word).split()]
+    """`words`, also of names that are written together or short: "/lwhl_ticks" → ["l", "wheel", "ticks"]."""
+    return [part for word in words(name) for part in re.sub("wheels?|whls?", " wheel ", word).split()]
 
 
 def is_wheel(name: str) -> bool:
     """Whether a joint is named as a driven wheel."""
-    return "wheel" in "".join(words(name)) and not _NOT_DRIVEN & {*words(name)}
+    return "wheel" in "".join(_wheel_words(name)) and not _NOT_DRIVEN & {*words(name)}
 
 
 def wheel_place(name: str) -> tuple[tuple[str, ...], Side, tuple[str, ...]] | None:

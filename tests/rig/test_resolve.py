@@ -606,6 +606,7 @@ FOUR = {
     "side first": ("left_front_wheel", "right_front_wheel", "left_rear_wheel", "right_rear_wheel"),
     "numbers": ("left_wheel_1", "right_wheel_1", "left_wheel_2", "right_wheel_2"),
     "one word": ("lfwheel", "rfwheel", "lrwheel", "rrwheel"),
+    "short": ("drivewhl_lf_joint", "drivewhl_rf_joint", "drivewhl_lr_joint", "drivewhl_rr_joint"),
 }
 
 
