@@ -133,6 +133,19 @@ def test_motion_sideways_is_that_of_another_drive():
     assert told.value.hint.startswith("mecanum and other omnidirectional robots")
 
 
+def test_rounding_is_no_motion_sideways():
+    """Positions in whole centimeters, fifty a second, were those of a mecanum drive."""
+    time_ns, pose = drive(50)
+    assert check_forward("/odom", time_ns, np.round(pose, 2)) == []
+
+
+def test_a_heading_that_never_changes_is_named():
+    """A driver that leaves the orientation empty was that of a mecanum drive, too."""
+    time_ns, pose = drive(50)
+    with pytest.raises(RecordingError, match=r"sideways, .* and its heading never changes"):
+        check_forward("/odom", time_ns, pose * [1, 1, 0])
+
+
 def test_a_heading_that_changes_at_rest_is_that_of_a_gyro():
     """A gyro's scale was taken for that of the wheels: a multiplier was off by 22 of its sigmas, with a PASS."""
     time_ns = np.arange(0, 40 * 10**9, 20 * 10**6)

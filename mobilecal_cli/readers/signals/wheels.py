@@ -358,11 +358,12 @@ def check_forward(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
         RecordingError: it moves sideways; the message says whether its poses jump, or a sign is wrong.
     """
     aside_m, path_m, offset_m = _sideways(time_ns, pose)
-    if _moves_sideways(aside_m, path_m):
+    if _moves_sideways(time_ns, aside_m, path_m):
+        aside_m = np.abs(aside_m)
         beside_m = np.pad(aside_m, 1)
         alone = aside_m > _ALONE * np.maximum(beside_m[:-2], beside_m[2:])
         jumps = np.flatnonzero(alone & (aside_m > _NOT_LEAST * aside_m.max()))
-        if not _moves_sideways(*_sideways(time_ns, pose, jumps)[:2]):
+        if not _moves_sideways(time_ns, *_sideways(time_ns, pose, jumps)[:2]):
             first = jumps[0]
             by_m, at_s = math.dist(*pose[first : first + 2, :2]), (time_ns[first + 1] - time_ns[0]) * 1e-9
             times = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
@@ -373,7 +374,12 @@ def check_forward(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
                 "reset it during the recording; if another topic has it, set wheels.odometry in rig.yaml",
             )
         what = f"{topic}: the odometry moves sideways, by {aside_m.sum():.2f} m beside {path_m:.2f} m ahead"
-        if not _moves_sideways(*_sideways(time_ns, pose * [1, -1, 1])[:2]):
+        if not np.ptp(pose[:, 2]):
+            raise RecordingError(
+                f"{what}, and its heading never changes",
+                "have its driver publish the heading (pose.pose.orientation), or record wheel joints or counters",
+            )
+        if not _moves_sideways(time_ns, *_sideways(time_ns, pose * [1, -1, 1])[:2]):
             raise RecordingError(
                 f"{what}, but not with the sign of y reversed: the y axis of its positions points to the right (or "
                 "the x axis backward, or the heading counts clockwise)",
@@ -428,18 +434,21 @@ def _sideways(
         jumping: further steps that count as jumps.
 
     Returns:
-        (n - 1,) not negative, and two numbers.
+        (n - 1,) positive to the left, and two numbers.
     """
     *steps, unknown = _steps(time_ns, pose)
     unknown |= pauses(time_ns)
     unknown[jumping] = True
     turn, ahead, aside = (np.where(unknown, 0.0, values) for values in steps)
     offset_m = float(aside @ turn) / max(float(turn @ turn), 1e-12)
-    return np.abs(aside - offset_m * turn), float(np.abs(ahead).sum()), offset_m
+    return aside - offset_m * turn, float(np.abs(ahead).sum()), offset_m
 
 
-def _moves_sideways(aside_m: FloatArray, path_m: float) -> bool:
-    return float(aside_m.sum()) > max(_ASIDE_M, _ASIDE_SHARE * path_m)
+def _moves_sideways(time_ns: IntArray, aside_m: FloatArray, path_m: float) -> bool:
+    """Whether the ways sideways in each second add up: rounding changes its sign from one message to the next."""
+    seconds = (time_ns[1:] - time_ns[0]) // 10**9
+    in_seconds_m = np.bincount(np.unique(seconds, return_inverse=True)[1], aside_m)
+    return float(np.abs(in_seconds_m).sum()) > max(_ASIDE_M, _ASIDE_SHARE * path_m)
 
 
 def check_speed(topic: str, time_ns: IntArray, pose: FloatArray) -> None:
