@@ -207,14 +207,18 @@ def scale(case: Case, metric: Metric) -> Iterator[Check]:
     """Whether all sizes of the wheels are off the nominal ones to the same side: contradictions and changes follow.
 
     The scale of one camera is that of the stated squares, which nothing else in the images can contradict. With
-    several, this is a criterion where all sizes are off by one factor beyond the limit of each.
+    several, this is a criterion where all sizes are off by one factor beyond the limit of each. A factor that is off by
+    chance is no mistake: such a scale is so uncertain that the verdict is NOT ENOUGH.
     """
     rig, wheels = case.extraction.rig, case.solution.parameters.wheels.vector
     stated, square_m = rig.sources.assumed_wheels or rig.nominal.wheels, case.extraction.board.square_m
     if stated is None or case.solution.uncertainty is None:
         return
     off = 100 * (wheels / stated.vector - 1)
-    common = float(off[np.argmin(np.abs(off))]) if abs(np.sign(off).sum()) == len(off) else 0.0
+    least = int(np.argmin(np.abs(off)))
+    common = float(off[least]) if abs(np.sign(off).sum()) == len(off) else 0.0
+    std_m = math.sqrt(case.solution.uncertainty.covariance[6 + least, 6 + least])
+    by_chance = 100 * CONTRADICTION_SIGMAS * std_m / float(stated.vector[least])
     limit = 5.0
     cure = (
         f"Measure ten squares with a ruler: with one camera, the size of the squares ({square_m} m) gives the scale. "
@@ -232,6 +236,7 @@ def scale(case: Case, metric: Metric) -> Iterator[Check]:
         common, limit, "common factor of all sizes of the wheels", cure,
         why=f"Radii and separation of the wheels are all at least {abs(common):.1f} % "
         f"{'larger' if common > 0 else 'smaller'} than the nominal ones.",
+        passes=abs(common) <= max(limit, by_chance),
     )  # fmt: skip
 
 
@@ -805,6 +810,8 @@ def noise(case: Case, *levels: Metric) -> Iterator[Check]:
     moved_board = {(jump.part, jump.also) for jump in case.solution.jumps} == {("board", "")}
     stepped = [visible(note) for note in case.extraction.notes if CLOCK_STEPS in note]
     stated = ", and the priors in rig.yaml" if case.extraction.rig.prior_sigmas else ""
+    if case.extraction.measured:
+        stated = ", and that the covariances of the poses state rotations and translations equally well"
     for metric in levels:
         (usual, bad, name, cause), level = _NOISE[metric], measured[metric.name]
         if metric.name == "noise.stamp" and stepped:

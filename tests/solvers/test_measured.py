@@ -183,6 +183,28 @@ def test_the_noise_of_poses_is_no_error_of_the_calibration(times):
     assert times == 1 or solution.residuals.corner_noise_m == pytest.approx(solution.point_rms_m, rel=0.2)
 
 
+def test_a_scale_that_the_poses_hardly_show_is_no_wrong_scale():
+    """Poses of 1.4 degrees and 50 mm: wheels 5 % off, by less than four of their sigmas, were a FAIL."""
+    robot, recorded = drive(7, times=25.0)
+    extraction = from_poses([recorded], tuple(1.053 * robot.wheels.vector), chain_of(robot))
+    assert judge(solve(extraction), extraction).level == "NOT ENOUGH"
+
+
+def test_noise_of_joints_may_be_that_of_the_poses():
+    """Rotations that are stated too exactly were noise of the joint readings, and nothing else was to check."""
+    robot, recorded = drive(5)
+    random, stated = np.random.default_rng(0), np.diag([1e-4] * 3 + [2e-3] * 3) ** 2
+    poses = [
+        replace(
+            p, T_c_k=se3.exp(np.append(0.02 * random.normal(size=3), [0, 0, 0])) @ p.T_c_k, covariance=stated
+        )
+        for p in recorded.poses
+    ]
+    given = from_poses([replace(recorded, poses=poses)], tuple(robot.wheels.vector), chain_of(robot))
+    verdict = judge(solve(given), given)
+    assert "that the covariances of the poses" in verdict.next_step
+
+
 def test_measured_poses_and_motions_have_a_report():
     """Plots of corners are left out; all numbers are finite, and the page is whole."""
     robot, recorded = drive(3)
