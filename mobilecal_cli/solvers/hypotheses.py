@@ -357,6 +357,9 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
     if len(still) == 2:
         cause = "the readings of both wheels never change, and the images do not fit a base at rest"
         cure = "check that the wheel encoders are recorded while the base moves"
+        if readings.rig.sources.assumed_odometry is not None:
+            cause = "the poses of the odometry never change, and the images do not fit a base at rest"
+            cure = "have its driver publish poses (the twist is not read), or record wheel joints or counters"
     elif still:
         cause = f"the reading of the {still[0]} wheel never changes, and that of the other wheel does"
         cure = "check the cable and the driver of this encoder, and record again"

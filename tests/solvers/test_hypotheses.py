@@ -11,10 +11,10 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen
-from mobilecal_cli.model import Nominal, Track
+from mobilecal_cli.model import SIDES, Nominal, Track, WheelSource
 from mobilecal_cli.simulate.robot import fixed_camera_robot, tick_robot
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.hypotheses import FREE, FROZEN, STILL, WHOLE, _noise_at_rest
+from mobilecal_cli.solvers.hypotheses import FREE, FROZEN, STILL, WHOLE, _free_wheels, _noise_at_rest
 from mobilecal_cli.solvers.readings import readings_of
 from mobilecal_cli.solvers.search import Search, _two_boards, other_focal_lengths
 from tests.extractions import Noise, joined, simulated
@@ -153,6 +153,16 @@ def test_two_boards_that_are_in_view_alternately_are_named(recorded, stations, n
     T_c_k[list(stations)] = T_c_k[list(stations)] @ se3.transform(np.eye(3), np.array([0.9, 0.0, 0.0]))
     found = _two_boards(replace(readings, T_c_k=T_c_k))
     assert (found is not None and "two boards 0.9 m apart" in found.cause) == named
+
+
+def test_odometry_whose_poses_never_change_may_have_them_in_its_twist(recorded):
+    """It has no encoders to check."""
+    readings = readings_of(MISTAKES["both wheels frozen"][0](recorded))
+    odometry = WheelSource("/odom", baked_in=ROBOT.nominal_wheels, assumed=True)
+    sources = replace(readings.rig.sources, wheels=dict.fromkeys(SIDES, odometry))
+    (row,) = _free_wheels(replace(readings, rig=replace(readings.rig, sources=sources)))
+    assert row.cause.startswith("the poses of the odometry never change")
+    assert "the twist is not read" in row.cure
 
 
 @pytest.mark.parametrize("name", QUICK)
