@@ -22,7 +22,7 @@ _FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e-6, 1e6
 _GROWTH, _LARGEST_FALL = 4.0, 10.0
 _CONVERGED = 1e-10  # of the cost
 _NEAR, _ROUNDING = 1e-4, 1e-12  # 0.01 standard deviations, which the last step removes; and of the cost
-_SLOW = 1e-6  # of the cost: after the last allowed step, a smaller gain counts as converged
+_SLOW = 0.05  # 0.2 standard deviations: after the last allowed step, a smaller gain counts as converged
 # Readings between which others are interpolated give the cost kinks along the clocks' offsets. There steps gain little
 # for long: the optimization ends where they gain less than this (0.03 standard deviations), and no longer ever less by
 # leaps, or where a step that promises less does not help.
@@ -108,7 +108,7 @@ def optimize(
             converged = before - trial.cost <= _CONVERGED * before + 1e-14 and damping < 1e-3
             lin = trial
             history.append(lin.cost)
-            converged |= trials + 1 == most_steps and history[-2] - lin.cost < _SLOW * lin.cost
+            converged |= trials + 1 == most_steps and history[-2] - lin.cost < _SLOW
             converged |= _stalls(history)
             # As much smaller as the promise was kept (Nielsen, 1999).
             kept = min((history[-2] - lin.cost) / max(gain, _ROUNDING), 1.0)
