@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -120,16 +121,10 @@ def _swapped(inference: Inference, fit: Fit) -> Fit | None:
 
 def once_decided(inference: Inference, fit: Fit) -> Fit | None:
     """A fit with measurements restored or rejected; None where all are consistent."""
-    for kind in DEGREES:
-        used = getattr(fit.inliers, kind)
-        agree = ~used & (outliers.beyond(fit, kind) < 1)
-        if kind == "views":
-            agree &= outliers.usable(fit)
-        if agree.any():
-            return _refitted(inference, fit, replace(fit.inliers, **{kind: used | agree}))
-    freed = outliers.with_reading_freed(fit)
-    if freed is not None:
-        return _refitted(inference, fit, freed)
+    for inliers in _restored(fit):
+        # Images that only wrong wheels place may agree to first order alone, and lead nowhere.
+        with suppress(SolveError):
+            return _refitted(inference, fit, inliers)
     for kind, wrong in _suspects(inference, fit):
         try:
             trial = _refitted(inference, fit, outliers.changed(fit.inliers, kind, wrong, to=False))
@@ -139,6 +134,20 @@ def once_decided(inference: Inference, fit: Fit) -> Fit | None:
         if any(beyond[at] > 1 for at in wrong):
             return trial
     return None
+
+
+def _restored(fit: Fit) -> Iterator[Inliers]:
+    """Inliers with outliers of one kind that agree with all others, or with images whose reading is wrong alone."""
+    for kind in DEGREES:
+        used = getattr(fit.inliers, kind)
+        agree = ~used & (outliers.beyond(fit, kind) < 1)
+        if kind == "views":
+            agree &= outliers.usable(fit)
+        if agree.any():
+            yield replace(fit.inliers, **{kind: used | agree})
+    freed = outliers.with_reading_freed(fit)
+    if freed is not None:
+        yield freed
 
 
 def _suspects(inference: Inference, fit: Fit) -> Iterator[tuple[str, list[tuple[int, ...]]]]:
