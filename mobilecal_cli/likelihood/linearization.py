@@ -28,7 +28,8 @@ def solvable() -> Iterator[None]:
     """Turn a singular matrix into an error that a user understands."""
     try:
         yield
-    except (np.linalg.LinAlgError, ValueError) as error:  # scipy refuses what is not finite by a ValueError
+    # scipy refuses what is not finite by a ValueError
+    except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
         raise SolveError(
             "the inlier measurements do not determine all parameters",
             "record more stations, with the whole board in the images",

@@ -98,11 +98,17 @@ class Posterior(Linearization):
         total[np.ix_(columns, columns)] += views.direct.sum(axis=0)
         return total
 
+    @solvable()
     def spread_in_images(self, A: FloatArray) -> FloatArray:
-        """(N, k, k) covariance of sums A (N, k, Q) of each station's (delta, direct constants)."""
+        """(N, k, k) covariance of sums A (N, k, Q) of each station's (delta, direct constants).
+
+        Raises:
+            SolveError: beyond all numbers, far off.
+        """
         by_shared = self.views.onto_shared(A, self.delta_by_shared)
-        known = _sandwich(A[:, :, :6], self.marginals.known)
-        return known + _sandwich(by_shared, self.conditional_covariance)
+        with np.errstate(over="raise"):
+            known = _sandwich(A[:, :, :6], self.marginals.known)
+            return known + _sandwich(by_shared, self.conditional_covariance)
 
     def predicted(self, step: Step) -> Self:
         """The likelihood after an undamped step, all to first order: residuals follow, derivatives stay."""
