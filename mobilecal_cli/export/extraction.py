@@ -33,7 +33,7 @@ from mobilecal_cli.model import (
     dtypes,
 )
 
-SCHEMA_VERSION = 10
+SCHEMA_VERSION = 11
 #: Most stations with a small image.
 THUMBNAILS = 60
 _LARGEST_THUMBNAIL = 10_000  # bytes

@@ -56,7 +56,6 @@ _UNEXPLAINED, _OF_STRETCH = 0.1, 0.5  # share of their misfit that a jump may le
 _CONCEALING = (*LENGTHS, "joint_rad", "shift_px", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
 #: Relative tolerance of noise levels that are found to first order; after a fit, `_HELD` times it.
 _COARSE, _FINE, _HELD = 0.1, 0.005, 2.0
-_AS_PROMISED = 0.5  # share of the cost's decrease that the first order promises, at least, where it holds
 _STILL = 1e-9  # rad, m: a fixed value of the reference camera follows the cameras no more
 
 
@@ -279,8 +278,9 @@ class Inference:
                 break
             start = fit.lin.with_noise(noise).renewed()
             there = start.at(near.state, start.inliers, noise, start.priors)
-            kept = (start.cost - there.cost) / max(start.cost - near.cost, 1.0)  # share of what was promised
-            if kept < _AS_PROMISED and noise.wider != fit.noise.wider:
+            # More than what was predicted, and than what is gained, is left over: that is no small step.
+            holds = there.cost - near.cost < max(near.cost, start.cost - there.cost)
+            if not holds and noise.wider != fit.noise.wider:
                 noise = replace(self, scales_stay=True)._levels_near(fit.lin, tolerance)[1]
                 start = fit.lin.with_noise(noise).renewed()
             elif there.cost < start.cost:

@@ -282,7 +282,7 @@ def test_paths_are_checked_before_the_work(tmp_path, check):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="is not a directory"):
         check(tmp_path / "file" / "out", False)
-    (old_output if check is check_output else Path.touch)(tmp_path / "old")
+    (old_output if check is check_directory else Path.touch)(tmp_path / "old")
     with pytest.raises(OutputError, match="already exists"):
         check(tmp_path / "old", False)
 
