@@ -25,6 +25,8 @@ def counter(span, step, count=400, start=None):
         (counter(2**32, 2**24), (32, None)),
         (counter(4096, 30), (None, 4096 - 30)),
         (counter(2**16, 3), (None, None)),
+        (counter(2**16, 3) + counter(2**16, 3, start=0), (None, None)),  # a driver that starts again once
+        (counter(2**16, 300) + counter(2**16, 300, 90, start=0), (16, None)),
         ([0] * 50, (None, None)),
         ([0, 0, 0, 500, 500, 500], (None, None)),
         ([0.5 * i for i in range(50)], (None, None)),

@@ -78,6 +78,20 @@ def test_rare_images_that_end_late_are_noted():
     assert end_notes([rare, *others]) == []
 
 
+def test_images_at_stops_have_pauses_of_their_own():
+    times = np.concatenate([at + np.arange(3) / 5 for at in (1, 4, 7, 10, 19.6, 21, 24, 27, 30, 33, 36, 39)])
+    stops = np.round(times * S).astype(np.int64)
+    images = Samples("/left", "/left", stops, stops + 3 * MS, times[:, None])
+    ending_early = [samples(topic, seconds=31.2) for topic in ("/j", "/w")]
+    assert len(cut([images, *ending_early])[0]) == 1
+
+
+def test_images_that_come_twice_as_often_and_end_early_show_no_step():
+    images = samples("/left", 10, seconds=37.5)
+    twice = images.rows(np.flatnonzero((images.value[:, 0] > 25) | (np.arange(len(images)) % 2 == 0)), 0)
+    assert len(cut([twice, samples("/j"), samples("/w")])[0]) == 1
+
+
 def test_clocks_of_two_computers_step_by_different_amounts():
     series = [samples("/joints", 50, step_s=-10), samples("/left", 5, step_s=3)]
     (_, second), _ = cut(series)

@@ -476,19 +476,29 @@ def _with_log_times(series: Sequence[Samples]) -> tuple[list[Samples], dict[int,
 
 
 def _pause(log_ns: IntArray, size_ns: int) -> int:
-    """Index of the first message after the only pause that is as long as a step; 0 without one."""
+    """Index of the first message after the only pause that is as long as a step; 0 without one.
+
+    Images at stops have long pauses of their own, which show no step.
+    """
     gaps = np.diff(log_ns)
     usual_ns, longest_ns = np.partition(gaps, -2)[-2:].tolist()
-    fits = size_ns - _ENDS_NS < longest_ns < size_ns + 2 * usual_ns + _ENDS_NS
-    return int(np.argmax(gaps)) + 1 if fits and usual_ns < min(size_ns, longest_ns / 2) else 0
+    fits = usual_ns < _ENDS_NS and size_ns - _ENDS_NS < longest_ns < size_ns + usual_ns + _ENDS_NS
+    return int(np.argmax(gaps)) + 1 if fits else 0
 
 
 def _crowd(log_ns: IntArray, size_ns: int) -> tuple[int, int]:
-    """Indices of the first message, and after the last, of the time of a step with the most messages; 0, 0 if usual."""
+    """Indices of the first message, and after the last, of the time of a step with the most messages; 0, 0 if usual.
+
+    All messages are then as many more as come in the time of the step: of a topic whose rate changes, more or less.
+    """
+    usual_ns = float(np.median(np.diff(log_ns)))
+    more = len(log_ns) - 1 - (log_ns[-1] - log_ns[0]) / usual_ns
     counts = np.searchsorted(log_ns, log_ns + size_ns + 2 * _ENDS_NS) - np.arange(len(log_ns))
     first = int(np.argmax(counts))
-    many = (_CROWD * size_ns + 2 * _ENDS_NS) / float(np.median(np.diff(log_ns)))
-    return (first, first + int(counts[first])) if counts[first] > many else (0, 0)
+    crowded = counts[first] > (_CROWD * size_ns + 2 * _ENDS_NS) / usual_ns
+    if not crowded or abs(more * usual_ns / size_ns - 1) > _CROWD - 1:
+        return 0, 0
+    return first, first + int(counts[first])
 
 
 def end_notes(series: Sequence[Samples]) -> list[str]:

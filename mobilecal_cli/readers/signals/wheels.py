@@ -257,7 +257,7 @@ def _jumps_of_a_turn(time_ns: IntArray, value: FloatArray, turn: float) -> int:
 
 
 def wraps(ticks: FloatArray) -> tuple[int | None, int | None]:
-    """How a counter starts again at its end, seen from jumps of nearly its whole range.
+    """How a counter starts again at its end, seen from jumps of nearly its whole range, but for one: a driver's start.
 
     Returns:
         Its width in bits, if the jumps fit one; else the size of its jumps, if there are any.
@@ -268,9 +268,10 @@ def wraps(ticks: FloatArray) -> tuple[int | None, int | None]:
     if not jumps.any() or usual == 0 or steps[jumps].min() < _JUMP * usual:
         return None, None
     for bits in _WIDTHS:
-        if spread < 2**bits and steps[jumps].min() > 2**bits - 2 * usual - 1:
+        others = jumps & (steps <= 2**bits - 2 * usual - 1)
+        if spread < 2**bits and others.sum() <= min(1, jumps.sum() - 1):
             return bits, None
-    return None, int(steps[jumps].max())
+    return None, int(steps[jumps].max()) if jumps.sum() > 1 else None
 
 
 def gap_notes(label: str, track: Track) -> list[str]:
