@@ -157,7 +157,7 @@ def _spread_by_images(lin: Posterior) -> FloatArray:
     every, total = np.arange(lin.data.stations), np.zeros_like(lin.covariance)
     priors, columns, level = lin.priors, lin.views.columns, getattr(lin.noise, lin.data.images_level)
     C_root = priors.from_free(np.linalg.inv(np.linalg.cholesky(priors.reduced(lin.information))).T)
-    for block in blocks_of(len(every)):
+    for block in blocks_of(lin.data):
         parts = []
         for of, A, r in whitened_rows(lin.state, lin.inliers, lin.rates, every[block]):
             A, r = _with_own(lin, of, A / level, r / level)

@@ -5,6 +5,7 @@ Constants that change the cameras or the board itself have columns of their own 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
@@ -12,13 +13,14 @@ import numpy as np
 
 from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ImageEffect
 from mobilecal_cli.likelihood.measurements import LEAST_DEPTH_M
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
 
 FEWEST_CORNERS = 4  # of one station, in all images together: fewer do not hold a board pose
-_BLOCK = 25
+_AT_ONCE = 2700  # corners
 #: Gauss-Newton steps of a board pose, and rad and m: the last ones move no corner visibly.
 _POSE_STEPS, _STILL = 12, 1e-6
 _LARGEST_DEEPER = 0.5  # of its depth: the board's way along the camera's axis in one step
@@ -33,9 +35,10 @@ def whitened(W: FloatArray, values: FloatArray) -> FloatArray:
     return out
 
 
-def blocks_of(stations: int) -> Iterator[slice]:
-    """The stations cut into blocks, so that the derivatives of their corners take a few MB however many there are."""
-    yield from (slice(i, i + _BLOCK) for i in range(0, stations, _BLOCK))
+def blocks_of(data: Dataset, stations: int | None = None) -> Iterator[slice]:
+    """All or so many stations in blocks: derivatives of their corners take a few MB however many there are."""
+    size = max(1, _AT_ONCE // math.prod(data.seen.shape[1:]))
+    yield from (slice(i, i + size) for i in range(0, data.stations if stations is None else stations, size))
 
 
 def of_camera(
@@ -153,7 +156,7 @@ def board_poses(state: State, corners: BoolArray) -> FloatArray:
     data, poses, rates = state.data, state.data.T_c_k.copy(), state.view_rates
     few = corners.sum(axis=(1, 2)) < FEWEST_CORNERS
     counted = np.where(few[:, None, None], data.seen, corners)
-    for block in blocks_of(0 if data.posed else data.stations):
+    for block in blocks_of(data, 0 if data.posed else None):
         poses[block] = fitted_poses(state, poses[block], block, counted[block], rates[:, block])
     return poses
 

@@ -17,7 +17,7 @@ from mobilecal_cli.likelihood.linearization import Linearization, solvable
 from mobilecal_cli.likelihood.measurements import BASE, ERRORS
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.likelihood.views import roots, summed
-from mobilecal_cli.model import EXACT, FloatArray
+from mobilecal_cli.model import EXACT, FloatArray, IntArray
 
 _FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
 _FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
@@ -27,16 +27,19 @@ _FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which 
 class BlockTridiagonal:
     """A positive definite matrix of N x N blocks of size B that couples each station to the next only.
 
-    The stations are eliminated one after the other. Given the next one, a station has the covariance S^-1, and the mean
+    The stations of a chain are eliminated one after the other; chains that nothing couples, as of several
+    recordings, side by side. Given the next one, a station has the covariance S^-1, and the mean
     ``x = S^-1 r + after x_after``, where r is what the stations before leave of its right side.
 
     Attributes:
         inverse: (N, B, B) S^-1 of each.
         after: (N, B, B); the last is zero.
+        places: the first stations of all chains, then the second ones, and so on.
     """
 
     inverse: FloatArray
     after: FloatArray
+    places: tuple[int | IntArray, ...]
 
     @classmethod
     def of(cls, D: FloatArray, off: FloatArray) -> Self:
@@ -49,23 +52,24 @@ class BlockTridiagonal:
         Raises:
             LinAlgError: not positive definite.
         """
-        S, inverse, after = D.copy(), np.empty_like(D), np.zeros_like(D)
-        for i in range(len(D)):
-            if i:
-                after[i - 1] = -inverse[i - 1] @ off[i - 1]
-                S[i] += off[i - 1].T @ after[i - 1]
-            inverse[i] = np.linalg.inv(S[i])
+        S, inverse, after, places = D.copy(), np.empty_like(D), np.zeros_like(D), _places(off)
+        for number, at in enumerate(places):
+            if number:
+                before = at - 1
+                after[before] = -inverse[before] @ off[before]
+                S[at] += off[before].mT @ after[before]
+            inverse[at] = np.linalg.inv(S[at])
         np.linalg.cholesky(S)
-        return cls(inverse, after)
+        return cls(inverse, after, places)
 
     def solve(self, right: FloatArray) -> FloatArray:
         """(N, B, R) right sides → (N, B, R)."""
         x = right.copy()
-        for i in range(1, len(x)):
-            x[i] += self.after[i - 1].T @ x[i - 1]
+        for at in self.places[1:]:
+            x[at] += self.after[at - 1].mT @ x[at - 1]
         x = self.inverse @ x
-        for i in reversed(range(len(x) - 1)):
-            x[i] += self.after[i] @ x[i + 1]
+        for at in self.places[:0:-1]:
+            x[at - 1] += self.after[at - 1] @ x[at]
         return np.asarray(x)
 
     def covariance(self) -> tuple[FloatArray, FloatArray]:
@@ -75,10 +79,20 @@ class BlockTridiagonal:
             (N, B, B) of each station, and (N, B, B) of each station with the next one (the last is zero).
         """
         own, cross = self.inverse.copy(), np.zeros_like(self.inverse)
-        for i in reversed(range(len(own) - 1)):
-            cross[i] = self.after[i] @ own[i + 1]
-            own[i] += cross[i] @ self.after[i].T
+        for at in self.places[:0:-1]:
+            cross[at - 1] = self.after[at - 1] @ own[at]
+            own[at - 1] += cross[at - 1] @ self.after[at - 1].mT
         return own, cross
+
+
+def _places(off: FloatArray) -> tuple[int | IntArray, ...]:
+    """Index or indices of the stations that have as many before them in their chain: none, one, and so on."""
+    coupled = np.append(False, off[:-1].any(axis=(1, 2)))
+    every = np.arange(len(off))
+    place = every - np.maximum.accumulate(np.where(coupled, 0, every))
+    order = np.argsort(place, kind="stable")
+    together = np.split(order, np.flatnonzero(np.diff(place[order])) + 1)
+    return tuple(int(at[0]) if len(at) == 1 else at for at in together)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -240,7 +240,7 @@ def linearize_views(
     Q, count = 6 + len(direct), int(group.max(initial=-1)) + 1
     rows, pull, cost = (np.zeros((len(every), *shape)) for shape in ((len(kept), Q), (len(kept),), ()))
     information, gradient = np.zeros((count, Q, Q)), np.zeros((count, Q))
-    for block in blocks_of(len(every)):
+    for block in blocks_of(data):
         for columns, A, r in whitened_rows(state, inliers, rates, every[block]):
             mine_of, at = (found[:, None] for found in np.nonzero(columns[:, None] == kept))
             of_kept = A[:, :, mine_of[:, 0]].mT

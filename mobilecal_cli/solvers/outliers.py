@@ -62,7 +62,7 @@ def gross_corners(state: State) -> tuple[BoolArray, BoolArray, FloatArray]:
     for together in numbers[None] if data.cameras.calibrated else numbers[:, None]:
         detected = data.seen & np.isin(numbers, together)[:, None]
         shown = np.flatnonzero(detected.any(axis=(1, 2)))
-        for block in blocks_of(len(shown)):
+        for block in blocks_of(data, len(shown)):
             mine = shown[block]
             T = fitted_poses(state, data.T_c_k[mine], mine, detected[mine], robust=True)
             residual, _ = corner_residuals(state, T, mine, by_constants=False)

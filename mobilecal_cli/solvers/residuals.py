@@ -107,7 +107,7 @@ def images_alike(lin: Posterior) -> State:
     for own, values in lin.views.own_values(lin.noise).items():
         effect = direct[lin.views.traced[own] - 6]
         camera = next(k for k in range(len(data.cameras.each)) if effect.concerns(k))
-        for block in blocks_of(data.stations):
+        for block in blocks_of(data):
             _, J = of_camera(state, camera, state.T_c_k[block], block, lin.rates[:, block], [effect])
             moved[block, camera] += J[..., 6] * values[block, None, None]
     pixels = data.pixels - np.where(data.seen[..., None], moved, 0.0)
