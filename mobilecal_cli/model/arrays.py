@@ -64,14 +64,14 @@ def _annotated(cls: type) -> dict[str, tuple[type[Any], Shape]]:
         annotated = next((each for each in (hint, *get_args(hint)) if hasattr(each, "__metadata__")), None)
         shape = tuple(size for size in getattr(annotated, "__metadata__", ()) if isinstance(size, int | str))
         if annotated is not None and shape:
-            shapes[name] = (_element(annotated.__origin__), shape)
+            shapes[name] = (element_of(annotated.__origin__), shape)
     return shapes
 
 
-def _element(array: Any) -> type[Any]:  # noqa: ANN401
+def element_of(array: Any) -> type[Any]:  # noqa: ANN401
     """Element type of `NDArray[...]`: its last argument, also of what numpy before 2.5 writes it as."""
     arguments = get_args(array)
-    element: type[Any] = _element(arguments[-1]) if arguments else array
+    element: type[Any] = element_of(arguments[-1]) if arguments else array
     return element
 
 

@@ -20,6 +20,7 @@ from mobilecal_cli.export.extraction import (
     snapshots_from_npz,
 )
 from mobilecal_cli.model import Camera, Corners, Extraction, Snapshot
+from mobilecal_cli.model.arrays import element_of
 from tests.report.example import make_extraction, make_hostile
 
 NUMBERS = [0.0, -0.0, 5e-324, 1 / 3, -1e11, 1e11]  # what is beyond is refused as damage
@@ -56,7 +57,7 @@ class Anything:
             return getattr(self, hint.__name__, self.value)(hint)
         if kind is Annotated:
             shape = [size for size in hint.__metadata__ if isinstance(size, int | str)]
-            return self.array(get_args(get_args(hint.__origin__)[1])[0], shape or [3])
+            return self.array(element_of(hint.__origin__), shape or [3])
         if kind in (Union, UnionType):
             return self.of(of[self.random.integers(len(of))])
         if kind is Literal:
