@@ -182,7 +182,8 @@ def _with_own(
     sigmas = [getattr(lin.noise, level) * unit for level, unit in (own[int(columns[k])] for k in mine)]
     along, size, _ = np.linalg.svd(A[:, :, mine] * sigmas, full_matrices=False)
     less = 1 - 1 / np.sqrt(1 + size**2)
-    return tuple(part - along @ (less[:, :, None] * (along.mT @ part)) for part in (A, r))
+    A, r = (part - along @ (less[:, :, None] * (along.mT @ part)) for part in (A, r))
+    return A, r
 
 
 def of_legs(lin: Posterior) -> Influence:
