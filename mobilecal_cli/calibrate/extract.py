@@ -229,11 +229,13 @@ def _extracted(
 
 
 def other_size(board: Board, size: tuple[int, int]) -> ObservationError:
-    """The error for a configured board that is not the one in the images."""
+    """The error for a configured board that is not the one in the images, or is only in part."""
+    part = all(np.less_equal(sorted(size), sorted((board.columns, board.rows))))
+    uncover = "uncover the whole board, without bright reflections; or " if part else ""
     return ObservationError(
         f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
         f"{size[0]} x {size[1]}",
-        f"set the board size with --board {size[0]}x{size[1]}, or board.columns and board.rows in rig.yaml",
+        f"{uncover}set the board size with --board {size[0]}x{size[1]}, or board.columns and board.rows in rig.yaml",
     )
 
 

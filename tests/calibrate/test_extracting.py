@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.calibrate.detect import plan_recording
-from mobilecal_cli.calibrate.extract import _other_cameras, describe, extract, wrong_chain
+from mobilecal_cli.calibrate.extract import _other_cameras, describe, extract, other_size, wrong_chain
 from mobilecal_cli.calibrate.inspect import inspect
 from mobilecal_cli.commands.init import draft
 from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError
@@ -155,6 +155,13 @@ def test_another_board_than_the_stated_one_is_named(sample_logs):
     with pytest.raises(ObservationError, match="8 x 6 inner corners, but the images show 9 x 6") as caught:
         extract([sample_logs / "straight.mcap"], stated)
     assert "--board 9x6" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("size", "covered"), [((6, 6), True), ((6, 7), True), ((11, 8), False), ((7, 7), False)]
+)
+def test_a_board_that_is_covered_in_part_may_look_like_a_smaller_one(size, covered):
+    assert other_size(Board(9, 6), size).hint.startswith("uncover") is covered
 
 
 def beside(source, target, topic, factor, wheels_rad=0.0):
