@@ -11,7 +11,7 @@ from mobilecal_cli import errors
 from mobilecal_cli.__main__ import help_file
 from mobilecal_cli.export.extraction import SCHEMA_VERSION
 from mobilecal_cli.export.params import SCHEMA_VERSIONS
-from mobilecal_cli.likelihood.nuisance import KINDS
+from mobilecal_cli.likelihood.constants import KINDS
 from tests.command import python
 from tests.conftest import REPOSITORY
 

@@ -6,7 +6,7 @@ import numpy as np
 from ruamel.yaml import YAML
 
 from mobilecal_cli import se3
-from mobilecal_cli.likelihood.nuisance import Layout
+from mobilecal_cli.likelihood.constants import Layout
 from mobilecal_cli.likelihood.predict import expected, weights_of
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.model import NINE, FloatArray, Parameters, WheelGeometry

@@ -20,7 +20,7 @@ from mobilecal_cli.export.formats import Exported, Source, format_of, options_of
 from mobilecal_cli.export.improved import improved_chain
 from mobilecal_cli.export.scene import Motion, Scene, Unused
 from mobilecal_cli.kinematics import cut_at, head_pose, integrate
-from mobilecal_cli.likelihood.nuisance import clock_s
+from mobilecal_cli.likelihood.constants import clock_s
 from mobilecal_cli.model import (
     SIDES,
     CalibratedRobot,

@@ -16,7 +16,7 @@ from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS
 from mobilecal_cli.calibrate.sample import sample_board
 from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate, unseen_height
-from mobilecal_cli.likelihood.nuisance import table
+from mobilecal_cli.likelihood.constants import table
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     NINE,

@@ -16,7 +16,7 @@ from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export.extraction import extraction_from_npz, snapshots_from_npz
 from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.files.reading import LARGEST_BYTES, read_text
-from mobilecal_cli.likelihood.nuisance import camera_change, table
+from mobilecal_cli.likelihood.constants import camera_change, table
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Parameters, Snapshot
 from mobilecal_cli.readers import looks_recorded
 from mobilecal_cli.rig.config import RigConfig, checked_settings

@@ -50,7 +50,7 @@ def gate_names(ctx: typer.Context, incomplete: str) -> list[str]:
 
 def setting_keys(incomplete: str) -> list[tuple[str, str]]:
     """Keys of rig.yaml, each with "=", and their descriptions."""
-    from mobilecal_cli.likelihood.nuisance import KINDS
+    from mobilecal_cli.likelihood.constants import KINDS
     from mobilecal_cli.rig.config import setting_keys
 
     keys = dict(setting_keys())

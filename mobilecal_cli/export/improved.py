@@ -11,8 +11,8 @@ from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.kinematics import joint_frames, joint_motion
 from mobilecal_cli.kinematics.urdf import Urdf, chain_links
+from mobilecal_cli.likelihood.constants import camera_change, table
 from mobilecal_cli.likelihood.effects import CameraEffect, ChainChange, ChainEffect, JointReading
-from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import Camera, CameraRig, FloatArray, HeadChain, Rig
 
 #: Largest acceptable difference between a distortion model and the estimated lens.

@@ -23,7 +23,7 @@ from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.text import dump, rendered
 from mobilecal_cli.files.reading import mapping_of, problems_of
-from mobilecal_cli.likelihood.nuisance import kind as kind_of
+from mobilecal_cli.likelihood.constants import kind_of
 from mobilecal_cli.model import (
     FACTORS,
     NINE,

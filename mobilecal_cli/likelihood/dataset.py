@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mobilecal_cli.kinematics import between_steps, encoder_steps_rad
+from mobilecal_cli.likelihood.constants import Constant, Layout, kind_of
 from mobilecal_cli.likelihood.measurements import Measurements, legs_between, steps_between
-from mobilecal_cli.likelihood.nuisance import Constant, Layout, kind
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Observation, Track, WheelTrack
 
 #: Kind of measurement that is used or not as a whole → its degrees of freedom: a station's images, a leg's wheels,
@@ -109,7 +109,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     of_tracks = [*zip(extraction.joint_tracks, widths_ns, joint_noise, strict=True)]
     sides, turned = _approach_direction(of_tracks, log, times_ns, joints)
     on_the_way = between_readings(extraction.joint_tracks, log, times_ns, moving, joints.shape[1])
-    play = kind("backlash").sigma * np.array(units)
+    play = kind_of("backlash").sigma * np.array(units)
     return Dataset(
         cameras=extraction.rig.cameras,
         chain=extraction.rig.chain,

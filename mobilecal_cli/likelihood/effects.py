@@ -1,7 +1,7 @@
 """What a constant of the robot changes, and the derivative of the prediction by it.
 
 There is one class for each place where a constant enters: stamps, joint positions, the head's chain, the cameras,
-the board, the base, and the wheels. `nuisance` has the rows.
+the board, the base, and the wheels. `constants` has the rows.
 """
 
 from __future__ import annotations

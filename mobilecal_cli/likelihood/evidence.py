@@ -7,8 +7,8 @@ import math
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
+from mobilecal_cli.likelihood.constants import FAMILIES, UNSTATED, Constant, family
 from mobilecal_cli.likelihood.linearization import solvable
-from mobilecal_cli.likelihood.nuisance import FAMILIES, UNSTATED, Constant, family
 from mobilecal_cli.likelihood.patterns import UNDERSTATED
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import Evidence, EvidenceValue, FloatArray

@@ -25,11 +25,11 @@ from scipy.linalg import block_diag, eigh
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import lens_terms_up_to
+from mobilecal_cli.likelihood.constants import PATTERNS, Constant, kind_of
 from mobilecal_cli.likelihood.corners import corner_residuals, whitened
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ImageEffect
 from mobilecal_cli.likelihood.measurements import BY_STATION
-from mobilecal_cli.likelihood.nuisance import PATTERNS, Constant, kind
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import FloatArray, Parameters, WheelGeometry, camera_words
 
@@ -64,7 +64,7 @@ def patterns(data: Dataset, rows: Sequence[Constant]) -> Iterator[Constant]:
     for number, mode in enumerate(_modes(*_informations(data, [*rows, *lenses], sigmas)), 1):
         effect = BoardEffect(partial(_displaced, pattern=(mode * sigmas).reshape(-1, 3)))
         meaning = f"places of the corners, pattern {number}"
-        yield Constant(f"{_CORNERS}_{number}", _CORNERS, "board", meaning, effect, kind(_CORNERS).sigma)
+        yield Constant(f"{_CORNERS}_{number}", _CORNERS, "board", meaning, effect, kind_of(_CORNERS).sigma)
 
 
 def _of_lenses(data: Dataset) -> Iterator[Constant]:
@@ -78,7 +78,7 @@ def _of_lenses(data: Dataset) -> Iterator[Constant]:
         for number, wave in enumerate(amplitudes, 1):
             along = CameraEffect("lens", (0.0,) * 4 + tuple(wave.tolist()), camera)
             part, meaning = camera_words(name), f"waves over the image, {number}"
-            yield Constant(f"{_LENS}_{name}_{number}", _LENS, part, meaning, along, kind(_LENS).sigma)
+            yield Constant(f"{_LENS}_{name}_{number}", _LENS, part, meaning, along, kind_of(_LENS).sigma)
 
 
 def _displaced(points_k: FloatArray, pattern: FloatArray) -> FloatArray:
@@ -125,7 +125,7 @@ def _informations(
     J[~some.seen] = 0.0
     # About (delta, constants); shared with the places of the board's corners; and about these.
     G = np.asarray(np.einsum("ncmxa,ncmxb->nab", J, J, optimize=True))
-    scale = kind(_CORNERS).sigma * sigmas
+    scale = kind_of(_CORNERS).sigma * sigmas
     by_corner = J[..., 3:6] @ T[:, None, None, :3, :3]
     shared = np.einsum("ncmxa,ncmxq->namq", J, by_corner, optimize=True)
     shared = shared.reshape(*shared.shape[:2], -1) * scale

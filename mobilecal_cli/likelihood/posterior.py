@@ -12,10 +12,10 @@ from typing import Self
 
 import numpy as np
 
+from mobilecal_cli.likelihood.constants import WHEEL_SIGMA
 from mobilecal_cli.likelihood.linearization import Linearization, solvable
 from mobilecal_cli.likelihood.measurements import ERRORS
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, station_rows
-from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.likelihood.views import summed
 from mobilecal_cli.model import NINE, FloatArray

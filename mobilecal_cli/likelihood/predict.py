@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from mobilecal_cli.camera import project, project_with_jacobian
+from mobilecal_cli.likelihood.constants import PATTERNS, camera_change, table
 from mobilecal_cli.likelihood.effects import INTRINSICS, CameraEffect, Clock, FloorEffect
-from mobilecal_cli.likelihood.nuisance import PATTERNS, camera_change, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import AtWork, CameraRig, FloatArray, HeadChain, Parameters, Solution
 

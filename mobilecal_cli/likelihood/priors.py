@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mobilecal_cli.likelihood.nuisance import Layout, family
+from mobilecal_cli.likelihood.constants import Layout, family
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import NINE, BoolArray, FloatArray, Parameters
 

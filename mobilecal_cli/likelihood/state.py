@@ -11,6 +11,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Increments, JointFrames
+from mobilecal_cli.likelihood.constants import PATTERNS, camera_change
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import (
     BoardEffect,
@@ -24,7 +25,6 @@ from mobilecal_cli.likelihood.effects import (
     Rolling,
 )
 from mobilecal_cli.likelihood.measurements import BASE, FLOOR, JOINTS, STAMP, SWAY, planar_pose
-from mobilecal_cli.likelihood.nuisance import PATTERNS, camera_change
 from mobilecal_cli.model import CameraRig, FloatArray, HeadChain, Parameters
 
 _E = TypeVar("_E", bound=Effect)

@@ -24,7 +24,7 @@ class EstimatedConstant:
     """A constant of the robot description, as estimated: its difference from the stated value.
 
     Attributes:
-        name, kind, part, meaning: see `likelihood.nuisance.Constant`.
+        name, kind, part, meaning: see `likelihood.constants.Constant`.
         value, std: estimate and standard deviation, in the unit of the kind.
         prior: standard deviation of the stated value; 0 where it is exact.
     """
@@ -57,7 +57,7 @@ class Evidence:
     """How far the data contradict the stated values of one kind of constants of one part.
 
     Attributes:
-        kind, part: which constants, see `likelihood.nuisance.Constant`.
+        kind, part: which constants, see `likelihood.constants.Constant`.
         values: name → estimate without the priors of these constants.
         chi2: decrease of the cost if the stated values of these constants were ignored, to second order.
         sigmas: `chi2` as a number of standard deviations of a normal distribution.
@@ -108,7 +108,7 @@ class Budget(ReadOnly):
     """What the variances come from. The shares of each column add up to 1.
 
     Attributes:
-        sources: noise levels (see `Noise`), kinds of constants (see `likelihood.nuisance.KINDS`), and
+        sources: noise levels (see `Noise`), kinds of constants (see `likelihood.constants.KINDS`), and
             "nominal", "unobservable", "other".
         nine: (S, 9) shares of the nine parameters, 0 for fixed ones.
         at_work: field of `AtWork` → (S,) shares.

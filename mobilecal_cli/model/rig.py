@@ -544,7 +544,7 @@ class Rig:
         sources: the topics used.
         setting_sources: setting → its source ("flag", "file", "log", "default", ...), for the report.
         noise: name → standard deviation given by the user, see `Noise`; the others are estimated.
-        prior_sigmas: kind or name of a constant, or "all" → its prior standard deviation, see `nuisance`; 0 if the
+        prior_sigmas: kind or name of a constant, or "all" → its prior standard deviation, see `KINDS`; 0 if the
             stated value is exact, infinite (math.inf) if nothing is known.
     """
 

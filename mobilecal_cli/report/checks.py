@@ -14,7 +14,8 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import encoder_steps_rad
-from mobilecal_cli.likelihood import jumps, nuisance
+from mobilecal_cli.likelihood import jumps
+from mobilecal_cli.likelihood.constants import FREE, NINE_SIGMAS, family, kind_of
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     CHAIN_ENDS,
@@ -377,7 +378,7 @@ def observable(case: Case, metric: Metric) -> Iterator[Check]:
 def _motion_to_add(case: Case, missing: list[str]) -> tuple[str, str]:
     """Why these parameters are not determined, after a colon, and what to do."""
     constants, motion = case.solution.constants.values(), case.solution.motion
-    free = {c.kind for c in constants if c.prior >= nuisance.FREE * nuisance.kind(c.kind).sigma}
+    free = {c.kind for c in constants if c.prior >= FREE * kind_of(c.kind).sigma}
     ignored = sorted(free - ({"square_size"} if case.extraction.board.square_m is None else set()))
     if ignored and not small_motion(motion, missing):
         return (
@@ -459,11 +460,11 @@ def contradiction(case: Case, metric: Metric) -> Iterator[Check]:
     widths = solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
     for evidence in solution.contradictions:
         what, cure = contradiction_sentences(evidence, solution, case.extraction)
-        wider = widths.get(nuisance.family(evidence.kind), 1.0)
-        is_cause = evidence.late_camera or (some_fail and nuisance.kind(evidence.kind).unit == "s")
+        wider = widths.get(family(evidence.kind), 1.0)
+        is_cause = evidence.late_camera or (some_fail and kind_of(evidence.kind).unit == "s")
         yield metric.check(
             evidence.sigmas, CONTRADICTION_SIGMAS,
-            f"robot description: {visible(evidence.part)}, {nuisance.kind(evidence.kind).meaning}", cure,
+            f"robot description: {visible(evidence.part)}, {kind_of(evidence.kind).meaning}", cure,
             part=f"{evidence.kind}.{evidence.part}",
             measured=f"{evidence.sigmas:.1f} sigma from the stated values",
             why=f"{what} It changes the result by up to {evidence.shift_sigmas:.1f} standard deviations."
@@ -656,7 +657,7 @@ def nominal_pose(case: Case, metric: Metric) -> Iterator[Check]:
     def apart(T: FloatArray) -> tuple[float, FloatArray]:
         """In standard deviations of nominal poses; and rotation and distance, (2,) rad and m."""
         by = np.linalg.norm([se3.log_so3(T[:3, :3].T @ pose[:3, :3]), T[:3, 3] - pose[:3, 3]], axis=1)
-        return float(np.linalg.norm(by / nuisance.NINE_SIGMAS[[0, 3]])), by
+        return float(np.linalg.norm(by / NINE_SIGMAS[[0, 3]])), by
 
     sigmas, (angle_rad, distance_m) = apart(stated)
     if sigmas <= limit:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.likelihood.constants import kind_of
 from mobilecal_cli.model import NINE, Evidence, Extraction, Outlier, Solution, Suggestion
 from mobilecal_cli.model.text import capitalized, visible
 from mobilecal_cli.report.numbers import decimals_of, parameters_of, station_names, std_text, value_text
@@ -53,7 +53,7 @@ def contradiction_sentences(
     if evidence.asked:
         stated = " and ".join(f"--prior {name}" for name in evidence.asked)
         cure = f"Correct {stated}, or leave it out."
-    kind = nuisance.kind(evidence.kind)
+    kind = kind_of(evidence.kind)
     priors = " and ".join(sorted({std_text(each.prior * kind.shown) for each in evidence.values.values()}))
     known = {name: (each.value, each.std) for name, each in evidence.values.items() if each.std is not None}
     sigmas = {

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.likelihood.constants import kind_of
 from mobilecal_cli.model import NINE, SIDES, HeadChain
 from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.evaluation import EvaluationData, evaluation_tables
@@ -169,7 +169,7 @@ def constants(case: Case) -> Iterator[Table]:
     rows = []
     for name in sorted(off, key=lambda name: (name not in bad, name not in always, -off[name])):
         constant = solution.constants[name]
-        kind, std = nuisance.kind(constant.kind), constant.std * nuisance.kind(constant.kind).shown
+        kind, std = kind_of(constant.kind), constant.std * kind_of(constant.kind).shown
         row = (
             name,
             constant.meaning,

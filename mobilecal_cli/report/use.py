@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.likelihood.constants import kind_of
 from mobilecal_cli.model import NINE, AtWork, Extraction, Solution
 from mobilecal_cli.ranges import ACCURACY, accuracy
 from mobilecal_cli.report.numbers import DEG, std_text
@@ -133,7 +133,7 @@ def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[
     scale, measured = solution.constants.get("baseline_scale"), {"baseline_length", "square_size"}
     unstated = extraction.board.square_m is None and scale is not None and scale.std > 0
     if unstated and scale is not None:
-        ratio = nuisance.kind("square_size").sigma / scale.std
+        ratio = kind_of("square_size").sigma / scale.std
         removed = sum(of.get(name, 0.0) for name in measured) / (1 + ratio**2)
         cures.append(Cure("Measure the squares, and state board.square_m in rig.yaml", removed))
     other = [name for name in of if name in STATED and not (unstated and name in measured)]

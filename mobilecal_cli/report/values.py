@@ -14,7 +14,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import joint_frames
-from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.likelihood.constants import kind_of
 from mobilecal_cli.model import (
     NINE,
     AtWork,
@@ -270,7 +270,7 @@ class ConstantData(JsonValue):
     kind: str
     part: str
     meaning: str
-    unit: str = by(lambda constant: nuisance.kind(constant.kind).unit)
+    unit: str = by(lambda constant: kind_of(constant.kind).unit)
     value: float
     std: Number
     prior: Number

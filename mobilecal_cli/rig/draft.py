@@ -12,7 +12,7 @@ import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics.urdf import parse_urdf
-from mobilecal_cli.likelihood.nuisance import KINDS
+from mobilecal_cli.likelihood.constants import KINDS
 from mobilecal_cli.model import (
     IMAGES,
     ODOMETRY,

@@ -12,7 +12,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.likelihood.nuisance import KINDS, OF_RECORDINGS, Constant, Kind, table
+from mobilecal_cli.likelihood.constants import KINDS, OF_RECORDINGS, Constant, Kind, table
 from mobilecal_cli.model import (
     SIDES,
     Board,

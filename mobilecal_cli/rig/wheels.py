@@ -11,7 +11,7 @@ import numpy as np
 from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf
-from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
+from mobilecal_cli.likelihood.constants import WHEEL_SIGMA
 from mobilecal_cli.model import (
     ODOMETRY,
     SIDES,

@@ -9,13 +9,13 @@ from dataclasses import dataclass, field, replace
 
 from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.likelihood.constants import CONSTANTS, KINDS, kind_of
 from mobilecal_cli.model import NINE, Nominal
 
 _GROUPS = {"head_eye": NINE[:6], "rotation": NINE[:3], "translation": NINE[3:6], "wheels": NINE[6:]}
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _OFTEN = ("pan_zero", "pan_scale", "tilt_scale", "backlash_pan", "backlash_tilt")
-_KINDS = tuple(kind.name for kind in nuisance.KINDS)
+_KINDS = tuple(kind.name for kind in KINDS)
 #: Group → its kinds of constants, for --estimate.
 _KIND_GROUPS = {
     "stereo": ("stereo_rotation", "baseline_direction", "baseline_length"),
@@ -42,7 +42,7 @@ class Constraints:
     Attributes:
         fixed: name → value, None for the nominal value. Rotations are relative to the nominal rotation, rad.
         priors: name → (value, sigma).
-        constants: names or kinds of the constants whose stated values are ignored, see `nuisance`.
+        constants: names or kinds of the constants whose stated values are ignored, see `likelihood.constants`.
     """
 
     fixed: Mapping[str, float | None] = field(default_factory=dict)
@@ -125,7 +125,7 @@ class Constraints:
 def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
     message = f"{flag} {name}: no such parameter or constant"
     if name in _KINDS and flag != "--estimate":
-        rows = [row.name for row in nuisance.CONSTANTS if row.kind == name]
+        rows = [row.name for row in CONSTANTS if row.kind == name]
         example = f", or one constant, such as {rows[0]}" if rows else ""
         return ConfigError(
             f"{flag} {name}: a kind of constants, not one parameter",
@@ -235,15 +235,15 @@ def checked_constraints(
 def _members(flag: str, name: str) -> tuple[str, ...]:
     """The parameters, constants or kinds that a name stands for."""
     own, groups = _OPTIONS[flag]
-    if name not in (*own, *groups) and _kind_of(name) is None:
-        raise _unknown(flag, name, [*own, *groups, *(row.name for row in nuisance.CONSTANTS)])
+    if name not in (*own, *groups) and _kind_named(name) is None:
+        raise _unknown(flag, name, [*own, *groups, *(row.name for row in CONSTANTS)])
     return groups.get(name, (name,))
 
 
-def _kind_of(name: str) -> str | None:
+def _kind_named(name: str) -> str | None:
     """The kind of a constant, by its name; one that depends on the robot is checked when the robot is known."""
-    named = [row.kind for row in nuisance.CONSTANTS if row.name == name]
-    matching = [kind.name for kind in nuisance.KINDS if kind.names and re.fullmatch(kind.names, name)]
+    named = [row.kind for row in CONSTANTS if row.name == name]
+    matching = [kind.name for kind in KINDS if kind.names and re.fullmatch(kind.names, name)]
     # The last that matches: `focal_aspect_left` is no focal length.
     return next(iter(named + matching[::-1]), None)
 
@@ -256,7 +256,7 @@ def _in_range(flag: str, name: str, value: float) -> float:
     """
     if name in NINE:
         return ranges.of_parameter(name).check(f"{flag} {name}", value)
-    kind = nuisance.kind(_kind_of(name) or "")
+    kind = kind_of(_kind_named(name) or "")
     share = kind.unit == "1"
     unit = ("of the image width" if kind.shown_unit != "%" else "of the stated value") if share else kind.unit
     most = _MOST.get(kind.name, _MOST_SIGMAS * kind.sigma)

@@ -11,9 +11,9 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.likelihood.between import weigh_logs
+from mobilecal_cli.likelihood.constants import PATTERNS, kind_of
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.legs import wheels_minus_sensor
-from mobilecal_cli.likelihood.nuisance import PATTERNS, kind
 from mobilecal_cli.likelihood.residual_tests import SMALL_M, SMALL_RAD
 from mobilecal_cli.model import (
     CONTRADICTION_SIGMAS,
@@ -54,7 +54,7 @@ def contradictions_of(fit: Fit) -> tuple[Evidence, ...]:
     by_user = {name for name, alike in zip(fit.data.layout.names, priors.alike, strict=True) if not alike}
     ranked = sorted(
         strongest.values(),
-        key=lambda e: (by_user.isdisjoint(e.values), kind(e.kind).unit != "s", -e.sigmas),
+        key=lambda e: (by_user.isdisjoint(e.values), kind_of(e.kind).unit != "s", -e.sigmas),
     )
     return tuple(e for e in ranked if e.sigmas > CONTRADICTION_SIGMAS)
 

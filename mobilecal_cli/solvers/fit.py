@@ -12,9 +12,9 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.likelihood.budget import covariances, shares, spread
+from mobilecal_cli.likelihood.constants import camera_change
 from mobilecal_cli.likelihood.dataset import Dataset, Inliers
 from mobilecal_cli.likelihood.effects import CameraEffect
-from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.predict import STEP, camera_covariance, expected, in_base, weights_of
 from mobilecal_cli.likelihood.residual_tests import ResidualTests

@@ -10,8 +10,9 @@ import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, head_eye_words, motion_seen, unseen_height
-from mobilecal_cli.likelihood import jumps, nuisance
+from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.likelihood.budget import expected_gradient
+from mobilecal_cli.likelihood.constants import FEW_PLACES, PATTERNS, clocks_of, floors_of, table, with_priors
 from mobilecal_cli.likelihood.dataset import Dataset, Inliers, dataset_of
 from mobilecal_cli.likelihood.patterns import patterns
 from mobilecal_cli.likelihood.posterior import Posterior, directions
@@ -66,9 +67,9 @@ def dataset_for(extraction: Extraction, constraints: Constraints) -> Dataset:
         ConfigError: see `Constraints.check`.
     """
     data, rig = dataset_of(extraction), extraction.rig
-    described = nuisance.table(rig.cameras, rig.chain)
-    clocks = nuisance.clocks_of(np.unique(data.log[data.moving])[1:].tolist())
-    floors = nuisance.floors_of(np.flatnonzero(np.bincount(data.log) > nuisance.FEW_PLACES).tolist())
+    described = table(rig.cameras, rig.chain)
+    clocks = clocks_of(np.unique(data.log[data.moving])[1:].tolist())
+    floors = floors_of(np.flatnonzero(np.bincount(data.log) > FEW_PLACES).tolist())
     rows = (*described, *patterns(data, described), *clocks, *floors)
     constraints.check([row.name for row in rows], rig.nominal)
     sigmas = dict(rig.prior_sigmas)
@@ -78,7 +79,7 @@ def dataset_for(extraction: Extraction, constraints: Constraints) -> Dataset:
     sigmas |= {name: sigma for name, (_, sigma) in constraints.priors.items()}
     sigmas |= dict.fromkeys(constraints.fixed, math.inf)
     offered = (row for row in rows if row.effect.offered(data))
-    return data.with_constants(tuple(nuisance.with_priors(offered, sigmas)))
+    return data.with_constants(tuple(with_priors(offered, sigmas)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,8 +190,7 @@ class Inference:
             mean[k], weight[k] = 0.0 if exact is None else exact - origin[k], 0.0
         mean[: len(NINE)] -= apart
         alike = [False] * len(NINE) + [
-            row.kind not in nuisance.PATTERNS and row.name not in self.constraints.priors
-            for row in layout.constants
+            row.kind not in PATTERNS and row.name not in self.constraints.priors for row in layout.constants
         ]
         kept = np.zeros((0, len(NINE))) if unobservable is None else unobservable
         return Priors(layout, anchor, mean, weight, fixed, kept, np.array(alike), {})

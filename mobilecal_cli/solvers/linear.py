@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import integrate
+from mobilecal_cli.likelihood.constants import NINE_SIGMAS, WHEEL_SIGMA
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.likelihood.nuisance import NINE_SIGMAS, WHEEL_SIGMA
 from mobilecal_cli.model import FloatArray, IntArray, Parameters, Rig, WheelGeometry
 from mobilecal_cli.solvers.transfer import base_motion
 

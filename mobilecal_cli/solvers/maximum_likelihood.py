@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.likelihood.constants import PATTERNS, kind_of
 from mobilecal_cli.likelihood.dataset import DEGREES, Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import IntArray, Parameters
@@ -205,7 +205,7 @@ def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
     legs = np.arange(len(inference.data.legs))
     # A start that is far off leads nowhere. A gross error of one leg is in one half of the legs only.
     # What lenses do beside their models decides on no gross error: as noise, steps are several times faster.
-    rows = (row for row in inference.data.layout.constants if row.kind not in nuisance.PATTERNS)
+    rows = (row for row in inference.data.layout.constants if row.kind not in PATTERNS)
     plain = replace(inference, data=inference.data.with_constants(tuple(rows)))
     starts = _linear_starts(plain, supposed.noise.wider, legs) if fit is None else iter((fit.lin, supposed))
     near = _linear_starts(plain, supposed.noise.wider, legs[::2], legs[1::2])
@@ -224,7 +224,7 @@ def _patterns_as_noise(inference: Inference, lin: Posterior) -> Posterior:
     """The same point without the patterns of lenses and corners, which the inference does not have."""
     state = replace(lin.state, data=inference.data)
     widest = max(camera.width for camera in state.data.cameras.each)
-    px = np.hypot(lin.noise.pixel_px, nuisance.kind("lens_waves").sigma * widest)
+    px = np.hypot(lin.noise.pixel_px, kind_of("lens_waves").sigma * widest)
     noise = lin.noise.with_levels({"pixel_px": float(px)})
     return Posterior.at(state, lin.inliers, noise, inference.priors(state))
 

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mobilecal_cli.likelihood.budget import of_errors, of_legs
+from mobilecal_cli.likelihood.constants import FAMILIES, family
 from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.measurements import ERRORS
-from mobilecal_cli.likelihood.nuisance import FAMILIES, family
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.model import EXACT, NINE, BoolArray, FloatArray, Noise

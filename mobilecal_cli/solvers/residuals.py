@@ -14,12 +14,12 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian
+from mobilecal_cli.likelihood.constants import PATTERNS, clocks_of, table
 from mobilecal_cli.likelihood.corners import blocks_of, board_poses, corner_residuals, of_camera
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.effects import TIMES, CameraEffect
 from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.measurements import STAMP, in_each_camera
-from mobilecal_cli.likelihood.nuisance import PATTERNS, clocks_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import (

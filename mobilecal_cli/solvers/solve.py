@@ -12,10 +12,10 @@ import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
+from mobilecal_cli.likelihood.constants import PATTERNS
 from mobilecal_cli.likelihood.dataset import Dataset, Inliers, dataset_of
 from mobilecal_cli.likelihood.effects import Rolling
 from mobilecal_cli.likelihood.evidence import evidence
-from mobilecal_cli.likelihood.nuisance import PATTERNS
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import path_m
 from mobilecal_cli.likelihood.suggest import suggestions

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.nuisance import NINE_SIGMAS, WHEEL_SIGMA
+from mobilecal_cli.likelihood.constants import NINE_SIGMAS, WHEEL_SIGMA
 from mobilecal_cli.model import NINE, Nominal, Parameters, WheelGeometry
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.solvers import constraints_of, solve

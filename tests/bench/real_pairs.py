@@ -13,7 +13,7 @@ import numpy as np
 
 from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
-from mobilecal_cli.likelihood.nuisance import camera_change, table
+from mobilecal_cli.likelihood.constants import camera_change, table
 from mobilecal_cli.model import (
     EXACT,
     NINE,

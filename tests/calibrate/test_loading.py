@@ -11,7 +11,7 @@ import pytest
 from mobilecal_cli.calibrate.load import load
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export.extraction import extraction_to_npz
-from mobilecal_cli.likelihood.nuisance import OF_RECORDINGS, table
+from mobilecal_cli.likelihood.constants import OF_RECORDINGS, table
 from mobilecal_cli.model import LogSource, WheelGeometry, WheelSource
 from mobilecal_cli.rig.config import UNCONFIGURED, load_rig
 from mobilecal_cli.rig.settings import refuse_others, with_settings

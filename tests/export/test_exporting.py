@@ -22,7 +22,7 @@ from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.kinematics.urdf import parse_urdf
-from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
+from mobilecal_cli.likelihood.constants import WHEEL_SIGMA
 from mobilecal_cli.model import AssumedOdometry, CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.targets import Target

@@ -18,7 +18,7 @@ from mobilecal_cli.export.improved import improved_chain, without_correction
 from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf
-from mobilecal_cli.likelihood.nuisance import camera_change, table
+from mobilecal_cli.likelihood.constants import camera_change, table
 from mobilecal_cli.model import Camera, EstimatedConstant, HeadChain, LensCorrection, LogSource
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.solvers import solve

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mobilecal_cli.likelihood.constants import table
 from mobilecal_cli.likelihood.corners import corner_residuals
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances, linearize_legs
-from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.likelihood.processes import processes_of
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.measured import from_motions

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.likelihood import budget
+from mobilecal_cli.likelihood.constants import floors_of, table
 from mobilecal_cli.likelihood.corners import corner_residuals
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.legs import linearize_legs
 from mobilecal_cli.likelihood.measurements import ENCODERS, JOINTS, STAMP, SWAY
 from mobilecal_cli.likelihood.normal import _none_negative, eliminated
-from mobilecal_cli.likelihood.nuisance import floors_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.likelihood.views import roots, summed

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.likelihood.constants import table
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.patterns import UNDERSTATED, _informations, patterns
 from mobilecal_cli.solvers import solve
@@ -25,7 +25,7 @@ def test_the_patterns_of_the_board_are_enough_beside_the_waves_of_the_lenses(pix
     noise = replace(imperfect.USUAL, pixel_px=pixel_px)
     extraction = imperfect.Case("camera on the base", motion="moving", images=80, noise=noise).extraction(0)
     data = dataset_of(extraction)
-    rows = nuisance.table(extraction.rig.cameras, extraction.rig.chain)
+    rows = table(extraction.rig.cameras, extraction.rig.chain)
     chosen = list(patterns(data, rows))
     waves, boards = ([row for row in chosen if row.kind == kind] for kind in ("lens_waves", "board_corners"))
     sigmas = np.tile([1.0, 1.0, 2.0], len(data.points_k))

@@ -5,7 +5,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
-from mobilecal_cli.likelihood.nuisance import camera_change, table
+from mobilecal_cli.likelihood.constants import camera_change, table
 from mobilecal_cli.likelihood.predict import ahead_std_m, projection_std_px
 from tests.report.example import drawn
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mobilecal_cli.likelihood.nuisance import KINDS
+from mobilecal_cli.likelihood.constants import KINDS
 from mobilecal_cli.model import NINE
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.report.motion import missing_motion

@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.likelihood.nuisance import KINDS, OF_RECORDINGS, table
+from mobilecal_cli.likelihood.constants import KINDS, OF_RECORDINGS, table
 from mobilecal_cli.model import HeadChain, JointLink
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.draft import draft_rig

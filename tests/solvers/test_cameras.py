@@ -8,8 +8,8 @@ import pytest
 
 from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.kinematics import unseen_height
+from mobilecal_cli.likelihood.constants import table
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import NINE
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.solvers.residuals import at_constants, residuals_of

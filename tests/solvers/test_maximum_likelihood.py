@@ -8,7 +8,8 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.likelihood import between, nuisance
+from mobilecal_cli.likelihood import between
+from mobilecal_cli.likelihood.constants import table
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import NINE, Corners, Noise, Nominal, Track, WheelTrack
 from mobilecal_cli.simulate.messages import nanoseconds
@@ -293,7 +294,7 @@ def test_a_prior_weighs_as_much_as_it_states(noisy):
     ],
 )
 def test_what_cannot_be_asked_is_said(fix, prior, estimate, said):
-    rows = nuisance.table(ROBOT.rig_cameras, chain_of(ROBOT))
+    rows = table(ROBOT.rig_cameras, chain_of(ROBOT))
     with pytest.raises(ConfigError) as caught:
         constraints_of(fix, prior, estimate).check([row.name for row in rows], Nominal())
     assert said in f"{caught.value.message} {caught.value.hint}"
@@ -301,7 +302,7 @@ def test_what_cannot_be_asked_is_said(fix, prior, estimate, said):
 
 def test_each_constant_of_a_robot_can_be_asked_for():
     """Whatever its cameras and joints are called."""
-    rows = nuisance.table(three_on_pan_tilt().rig_cameras, chain_of(ROBOT))
+    rows = table(three_on_pan_tilt().rig_cameras, chain_of(ROBOT))
     names = [row.name for row in rows]
     assert any(row.kind == "camera_rotation" for row in rows)
     for row in rows:

@@ -131,7 +131,7 @@ OF_RECORDINGS = UNSTATED | {"clock"}
 FAMILIES = frozenset(_TOGETHER.values())
 
 
-def kind(name: str) -> Kind:
+def kind_of(name: str) -> Kind:
     """The row of a kind.
 
     Raises:

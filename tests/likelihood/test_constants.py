@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.likelihood.nuisance import KINDS
+from mobilecal_cli.likelihood.constants import FREE, KINDS, PATTERNS, floors_of, table, with_priors
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from tests.robots import chain_of, three_on_pan_tilt
 
@@ -13,8 +12,8 @@ def test_every_kind_of_the_table_has_rows():
     of_pairs = {"stereo_rotation", "baseline_direction", "baseline_length"}
     lacking = ((paper_robot(), of_others), (tick_robot(), of_others), (three_on_pan_tilt(), of_pairs))
     for robot, lacks in lacking:
-        rows = (*nuisance.table(robot.rig_cameras, chain_of(robot)), *nuisance.floors_of([0, 1]))
-        assert {row.kind for row in rows} | nuisance.PATTERNS == {kind.name for kind in KINDS} - lacks
+        rows = (*table(robot.rig_cameras, chain_of(robot)), *floors_of([0, 1]))
+        assert {row.kind for row in rows} | PATTERNS == {kind.name for kind in KINDS} - lacks
         names = [row.name for row in rows]
         assert len(set(names)) == len(names)
         assert "tilt_zero" not in names  # the head-eye transform absorbs the last zero
@@ -22,14 +21,14 @@ def test_every_kind_of_the_table_has_rows():
 
 def test_priors_narrow_widen_fix_and_free():
     robot = tick_robot()
-    rows = nuisance.table(robot.rig_cameras, chain_of(robot))
+    rows = table(robot.rig_cameras, chain_of(robot))
     given = {"focal_length": 0.01, "focal_left": 0.0, "joint_zero": np.inf, "pan_scale": 2e-5}
-    sigmas = {row.name: row.sigma for row in nuisance.with_priors(rows, given)}
+    sigmas = {row.name: row.sigma for row in with_priors(rows, given)}
     default = {row.name: row.sigma for row in rows}
     assert "focal_left" not in sigmas
     assert sigmas["focal_right"] == 0.01
-    assert sigmas["pan_zero"] == nuisance.FREE * default["pan_zero"]
+    assert sigmas["pan_zero"] == FREE * default["pan_zero"]
     assert sigmas["pan_scale"] == 2e-5
     assert sigmas["stereo_r_x"] == default["stereo_r_x"]
-    assert not list(nuisance.with_priors(rows, {"all": 0.0}))
-    assert [r.name for r in nuisance.with_priors(rows, {"all": 0.0, "square_size": 1e-3})] == ["square_scale"]
+    assert not list(with_priors(rows, {"all": 0.0}))
+    assert [r.name for r in with_priors(rows, {"all": 0.0, "square_size": 1e-3})] == ["square_scale"]
