@@ -39,6 +39,7 @@ _NEAREST = 0.35  # least cosine of the angle between the board's normal and the 
 _AIM_STEPS = 6
 _MOST_STEP = 0.5  # rad or m
 _MOST = 3
+_AT_ONCE = 10  # stops, which take some MB each where images are sharp
 _UPRIGHT = 0.5  # component of the vertical beyond which a coordinate is a height
 
 
@@ -199,6 +200,24 @@ def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
     return rows, station_rows(lin, beside)[2:, np.argsort(views.traced)]
 
 
+def _variances(lin: Posterior, joint: FloatArray, ways: FloatArray, joints: FloatArray) -> FloatArray:
+    """(C, 9) variances of the nine with each of some stops.
+
+    The covariance before, (J, J), is of the shared parameters, the last board and base.
+    """
+    columns, then = lin.views.columns, np.empty((len(ways), 9))
+    for begin in range(0, len(ways), _AT_ONCE):
+        some = slice(begin, begin + _AT_ONCE)
+        for c, (rows, G) in enumerate(
+            zip(*_shown(_with_stops(lin, ways[some], joints[some])), strict=True), begin
+        ):
+            across = np.concatenate([rows @ joint, joint[columns]])
+            nine, spread = across[:, :9], np.concatenate([across @ rows.T, across[:, columns]], axis=1)
+            shrunk = G @ np.linalg.solve(np.eye(len(G)) + spread @ G, nine)
+            then[c] = np.diag(joint)[:9] - np.sum(nine * shrunk, axis=0)
+    return then
+
+
 def suggestions(lin: Posterior, covariance: FloatArray) -> tuple[Suggestion, ...]:
     """The stops that would shrink the worst standard deviation most, best first, one for each turn and drive.
 
@@ -223,15 +242,7 @@ def suggestions(lin: Posterior, covariance: FloatArray) -> tuple[Suggestion, ...
     if not now[worst] > 0:
         return ()  # all nine are fixed
     ways, joints = _reachable(lin.state)
-    rows, G = _shown(_with_stops(lin, ways, joints))
-    direct, by_delta = joint[lin.views.columns], rows @ joint
-    across = np.concatenate([by_delta, np.broadcast_to(direct, (len(rows), *direct.shape))], axis=1)
-    nine, spread = (
-        across[:, :, :9],
-        np.concatenate([across @ rows.mT, across[:, :, lin.views.columns]], axis=2),
-    )
-    shrunk = G @ np.linalg.solve(np.eye(G.shape[1]) + spread @ G, nine)
-    then = np.sqrt(np.maximum(np.diag(joint)[:9] - np.sum(nine * shrunk, axis=1), 0.0))  # rounding
+    then = np.sqrt(np.maximum(_variances(lin, joint, ways, joints), 0.0))  # rounding
     gain = 1 - np.max(then / needed, axis=1) / np.max(now / needed)
     best: dict[tuple[float, ...], Suggestion] = {}
     for c in np.argsort(-gain, kind="stable"):
