@@ -153,10 +153,13 @@ def board_poses(state: State, corners: BoolArray) -> FloatArray:
 
     Measured poses stay. The corners (N, C, M) are those that count, unless they are too few at a station.
     """
-    data, poses, rates = state.data, state.data.T_c_k.copy(), state.view_rates
+    data, poses = state.data, state.data.T_c_k.copy()
+    if data.posed:
+        return poses
+    rates = state.view_rates
     few = corners.sum(axis=(1, 2)) < FEWEST_CORNERS
     counted = np.where(few[:, None, None], data.seen, corners)
-    for block in blocks_of(data, 0 if data.posed else None):
+    for block in blocks_of(data):
         poses[block] = fitted_poses(state, poses[block], block, counted[block], rates[:, block])
     return poses
 
