@@ -343,6 +343,28 @@ def jump(case: Case, metric: Metric) -> Iterator[Check]:
         )  # fmt: skip
 
 
+@criterion(Metric("prior", "sigma", section="description"), gated=False)
+def prior(case: Case, metric: Metric) -> Iterator[Check]:
+    """Values and priors of the user that the data contradict; those that move the result fail.
+
+    They come first: with a wrong one, little else may fit, and what is left shows less.
+    """
+    uncertainty = case.solution.uncertainty
+    if uncertainty is None:
+        return
+    for name, (sigmas, shift) in uncertainty.asked.items():
+        if sigmas > CONTRADICTION_SIGMAS:
+            given = f"--fix {name}" if uncertainty.fixed[NINE.index(name)] else f"--prior {name}"
+            yield metric.check(
+                sigmas, CONTRADICTION_SIGMAS, f"{given} against the data",
+                f"Correct {given} (m, rad), or leave it out.",
+                part=name,
+                why=f"The value of {given} is {sigmas:.1f} sigma from what the data show. It changes {name} by "
+                f"{shift:.1f} standard deviations. Other findings may follow from it.",
+                beyond="fail" if shift > MATERIAL_SIGMAS else "warning",
+            )  # fmt: skip
+
+
 @criterion(Metric("observable", at_least=True, section="stations"), of_change=True)
 def observable(case: Case, metric: Metric) -> Iterator[Check]:
     """Parameters that the recording does not determine, and the motion that would.
@@ -431,25 +453,6 @@ def noted(case: Case, *_: Metric) -> Iterator[Check]:
         if notes:
             why = f"{visible(notes[0])}.{meaning}"
             yield metric.check(len(notes), 0, name, cure, why=why, beyond="warning")
-
-
-@criterion(Metric("prior", "sigma", section="description"), gated=False)
-def prior(case: Case, metric: Metric) -> Iterator[Check]:
-    """Values and priors of the user that the data contradict; those that move the result fail."""
-    uncertainty = case.solution.uncertainty
-    if uncertainty is None:
-        return
-    for name, (sigmas, shift) in uncertainty.asked.items():
-        if sigmas > CONTRADICTION_SIGMAS:
-            given = f"--fix {name}" if uncertainty.fixed[NINE.index(name)] else f"--prior {name}"
-            yield metric.check(
-                sigmas, CONTRADICTION_SIGMAS, f"{given} against the data",
-                f"Correct {given} (m, rad), or leave it out.",
-                part=name,
-                why=f"The value of {given} is {sigmas:.1f} sigma from what the data show. It changes {name} by "
-                f"{shift:.1f} standard deviations. Other findings may follow from it.",
-                beyond="fail" if shift > MATERIAL_SIGMAS else "warning",
-            )  # fmt: skip
 
 
 @criterion(Metric("contradiction", "sigma", section="description"), gated=False)

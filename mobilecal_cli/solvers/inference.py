@@ -268,8 +268,9 @@ class Inference:
     def estimate_noise(self, fit: Fit, fine: bool = False) -> Fit:
         """Estimate noise levels and parameters in turn until the levels converge.
 
-        The priors' scales stay in a round in which they lead to where the first order does not hold: what it leaves out
-        looks like a contradiction of what hardly shows, such as the height of a joint on a floor that is level.
+        The priors' scales stay in a round in which they lead to where the first order does not hold, and more is left
+        over than there was: what it leaves out looks like a contradiction of what hardly shows, such as the height of a
+        joint on a floor that is level.
         """
         tolerance = _FINE if fine else _COARSE
         for _ in range(_NOISE_FITS):
@@ -277,14 +278,11 @@ class Inference:
             if converged(fit.noise, noise, _HELD * tolerance):
                 break
             start = fit.lin.with_noise(noise).renewed()
-            there = start.at(near.state, start.inliers, noise, start.priors)
-            # More than what was predicted, and than what is gained, is left over: that is no small step.
-            holds = there.cost - near.cost < max(near.cost, start.cost - there.cost)
-            if not holds and noise.wider != fit.noise.wider:
-                noise = replace(self, scales_stay=True)._levels_near(fit.lin, tolerance)[1]
-                start = fit.lin.with_noise(noise).renewed()
-            elif there.cost < start.cost:
-                start = there
+            if noise.wider != fit.noise.wider:
+                there = start.at(near.state, start.inliers, noise, start.priors)
+                if there.cost - near.cost > start.cost:
+                    noise = replace(self, scales_stay=True)._levels_near(fit.lin, tolerance)[1]
+                    start = fit.lin.with_noise(noise).renewed()
             fit = self._fit_from(start.under(self.priors(start.state)))
         return fit
 

@@ -39,6 +39,12 @@ SAID = {
     "right wheel 2 % larger from the middle": ("FAIL, right cause", "the size of the right wheel changed by 1.[67] mm"),
     "right wheel 5 % larger from the middle": ("FAIL, right cause", "the size of the right wheel changed by 3.9 mm"),
     "a second recording of another robot": ("FAIL, right cause", "Between recording 2 and the other, the sizes of both wheels"),
+    "right wheel reversed from the middle": (
+        "refused, right cause", "from about 42.6 s on, the right wheel's encoder has the wrong sign",
+    ),
+    "head mounted 10 cm further to the front": ("FAIL, right cause", "position of the axis along x differs by -100"),
+    "pan axis turned by 10 degrees": ("FAIL, right cause", "direction of the axis, about x differs by -10"),
+    "square in inches": ("NOT ENOUGH", "stated values of baseline_length, square_size are ignored"),
     "counters of 32 bits wrap in the middle": ("PASS, right", ""),
     "focal lengths 1 % off": ("PASS, right", ""),
 }  # fmt: skip
