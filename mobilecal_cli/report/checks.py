@@ -365,6 +365,29 @@ def prior(case: Case, metric: Metric) -> Iterator[Check]:
             )  # fmt: skip
 
 
+@criterion(Metric("contradiction", "sigma", section="description"), gated=False)
+def contradiction(case: Case, metric: Metric) -> Iterator[Check]:
+    """The stated values that the data contradict; those that the result depends on fail, and times beside them."""
+    solution = case.solution
+    some_fail = any(evidence.shift_sigmas > MATERIAL_SIGMAS for evidence in solution.contradictions)
+    widths = solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
+    for evidence in solution.contradictions:
+        what, cure = contradiction_sentences(evidence, solution, case.extraction)
+        wider = widths.get(family(evidence.kind), 1.0)
+        is_cause = evidence.late_camera or (some_fail and kind_of(evidence.kind).unit == "s")
+        yield metric.check(
+            evidence.sigmas, CONTRADICTION_SIGMAS,
+            f"robot description: {visible(evidence.part)}, {kind_of(evidence.kind).meaning}", cure,
+            part=f"{evidence.kind}.{evidence.part}",
+            measured=f"{evidence.sigmas:.1f} sigma from the stated values",
+            why=f"{what} It changes the result by up to {evidence.shift_sigmas:.1f} standard deviations."
+            + (f" Priors of this kind are taken {std_text(wider)} times as wide." if wider > _SHOWN_WIDER else "")
+            + (" Other stated values that differ may follow from it." if is_cause else ""),
+            passes=False,
+            beyond="fail" if evidence.shift_sigmas > MATERIAL_SIGMAS or is_cause else "warning",
+        )  # fmt: skip
+
+
 @criterion(Metric("observable", at_least=True, section="stations"), of_change=True)
 def observable(case: Case, metric: Metric) -> Iterator[Check]:
     """Parameters that the recording does not determine, and the motion that would.
@@ -399,8 +422,15 @@ def observable(case: Case, metric: Metric) -> Iterator[Check]:
 
 def _motion_to_add(case: Case, missing: list[str]) -> tuple[str, str]:
     """Why these parameters are not determined, after a colon, and what to do."""
-    constants, motion = case.solution.constants.values(), case.solution.motion
-    free = {c.kind for c in constants if c.prior >= FREE * kind_of(c.kind).sigma}
+    solution, motion = case.solution, case.solution.motion
+    widths = (
+        solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
+    )  # that the data ask for
+    free = {
+        c.kind
+        for c in solution.constants.values()
+        if c.prior >= FREE * kind_of(c.kind).sigma * widths.get(family(c.kind), 1.0)
+    }
     ignored = sorted(free - ({"square_size"} if case.extraction.board.square_m is None else set()))
     if ignored and not small_motion(motion, missing):
         return (
@@ -453,29 +483,6 @@ def noted(case: Case, *_: Metric) -> Iterator[Check]:
         if notes:
             why = f"{visible(notes[0])}.{meaning}"
             yield metric.check(len(notes), 0, name, cure, why=why, beyond="warning")
-
-
-@criterion(Metric("contradiction", "sigma", section="description"), gated=False)
-def contradiction(case: Case, metric: Metric) -> Iterator[Check]:
-    """The stated values that the data contradict; those that the result depends on fail, and times beside them."""
-    solution = case.solution
-    some_fail = any(evidence.shift_sigmas > MATERIAL_SIGMAS for evidence in solution.contradictions)
-    widths = solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
-    for evidence in solution.contradictions:
-        what, cure = contradiction_sentences(evidence, solution, case.extraction)
-        wider = widths.get(family(evidence.kind), 1.0)
-        is_cause = evidence.late_camera or (some_fail and kind_of(evidence.kind).unit == "s")
-        yield metric.check(
-            evidence.sigmas, CONTRADICTION_SIGMAS,
-            f"robot description: {visible(evidence.part)}, {kind_of(evidence.kind).meaning}", cure,
-            part=f"{evidence.kind}.{evidence.part}",
-            measured=f"{evidence.sigmas:.1f} sigma from the stated values",
-            why=f"{what} It changes the result by up to {evidence.shift_sigmas:.1f} standard deviations."
-            + (f" Priors of this kind are taken {std_text(wider)} times as wide." if wider > _SHOWN_WIDER else "")
-            + (" Other stated values that differ may follow from it." if is_cause else ""),
-            passes=False,
-            beyond="fail" if evidence.shift_sigmas > MATERIAL_SIGMAS or is_cause else "warning",
-        )  # fmt: skip
 
 
 @criterion(Metric("description", "sigma", section="description"))

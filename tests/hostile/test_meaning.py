@@ -44,7 +44,7 @@ SAID = {
     ),
     "head mounted 10 cm further to the front": ("FAIL, right cause", "position of the axis along x differs by -100"),
     "pan axis turned by 10 degrees": ("FAIL, right cause", "direction of the axis, about x differs by -10"),
-    "square in inches": ("NOT ENOUGH", "stated values of baseline_length, square_size are ignored"),
+    "square in inches": ("FAIL, right cause", "squares and the stereo baseline disagree"),
     "counters of 32 bits wrap in the middle": ("PASS, right", ""),
     "focal lengths 1 % off": ("PASS, right", ""),
 }  # fmt: skip
