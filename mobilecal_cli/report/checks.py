@@ -134,6 +134,14 @@ def stations(case: Case, metric: Metric) -> Iterator[Check]:
     have, cameras = len(case.extraction.observations), case.extraction.rig.cameras
     everywhere = all(view.seen.any() for o in case.extraction.observations for view in o.views)
     where = cameras.images_words if everywhere else "an image"
+    shown = f"The board is in {where}"
+    name, show = f"stations with the board in {where}", f"where {cameras.cameras_words} the whole board"
+    if case.extraction.measured:
+        name, shown, show = (
+            "stations with a measured pose",
+            "The target's pose is measured",
+            "and a pose at each",
+        )
     notes = case.extraction.notes
     causes = [visible(note) for note in notes if NO_IMAGES in note]
     causes += [visible(f"{note}.") for note in notes if CAMERA_INFO_CHANGES in note]
@@ -148,9 +156,8 @@ def stations(case: Case, metric: Metric) -> Iterator[Check]:
     lost = f" {causes[0]}" if causes else ""
     again = "Remove this cause, and record again" if causes else "Record again"
     yield metric.check(
-        have, MIN_STATIONS, f"stations with the board in {where}",
-        f"{again} with more stops where {cameras.cameras_words} the whole board.",
-        why=f"The board is in {where} at {have} stations only (limit {MIN_STATIONS}, recommended 12).{lost}",
+        have, MIN_STATIONS, name, f"{again} with more stops {show}.",
+        why=f"{shown} at {have} stations only (limit {MIN_STATIONS}, recommended 12).{lost}",
     )  # fmt: skip
 
 

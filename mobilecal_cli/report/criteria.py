@@ -37,11 +37,13 @@ class Case:
 
     @cached_property
     def checks(self) -> tuple[Check, ...]:
-        """What every criterion finds, evaluated once; also figures alone.
+        """What every criterion finds, evaluated once; also figures alone. Measured poses have no pixels.
 
         Beside a change that fails, what may be its effect is a warning: the advice would be false.
         """
+        without = {"px"} if self.extraction.measured else set()
         found = [(each, check) for each in CRITERIA for check in each.judge(self, *each.metrics)]
+        found = [(each, check) for each, check in found if check.unit not in without]
         changed = any(check.id == CHANGED and check.outcome == "fail" for _, check in found)
         return tuple(
             replace(check, outcome="warning") if changed and each.of_change and check.why else check

@@ -104,7 +104,7 @@ ERROR_PARTS = {
 def reprojection_sentence(solution: Solution) -> str:
     """What the reprojection error consists of, by kind of noise; "" where it is unknown."""
     parts_px = {name: part.px for name, part in solution.error_parts.items()}
-    if solution.uncertainty is None or not parts_px:
+    if solution.uncertainty is None or "corners" not in parts_px:
         return ""
     each = ", ".join(f"{ERROR_PARTS[name][0]} {std_text(px)} px" for name, px in parts_px.items())
     return (

@@ -227,9 +227,10 @@ def inputs(case: Case) -> Iterator[Table]:
     """Topics, board, recordings and version."""
     sources, board = case.extraction.rig.sources, case.extraction.board
     elsewhere = (f"{name}: {source.topic} {source.where}" for name, source in sources.elsewhere.items())
+    infos = ", ".join(info or "not from the recording" for info in sources.info.values())
     rows = [
         ("images", ", ".join(sources.image.values())),
-        ("camera calibration", ", ".join(info or "not from the recording" for info in sources.info.values())),
+        ("camera calibration", "" if case.extraction.measured else infos),
         ("head joints", ", ".join((*sources.joint_topics, *elsewhere))),
     ]
     for side in SIDES:
@@ -244,7 +245,8 @@ def inputs(case: Case) -> Iterator[Table]:
     size = f"stated square size {square_mm:g} mm"
     if board.square_m is None:
         size = f"square size {square_mm:.2f} mm, measured by the stereo pair"
-    rows.append(("board", f"{board.columns} x {board.rows} inner corners, {size}"))
+    if not case.extraction.measured:
+        rows.append(("board", f"{board.columns} x {board.rows} inner corners, {size}"))
     rows += [(log.path, f"SHA-256 {log.sha256}") for log in case.provenance.logs]
     made = f"mobilecal {case.provenance.version}, method {case.provenance.method}, {case.provenance.created}"
     rows.append(("calibrated", f"{made}; params.yaml lists all settings"))

@@ -187,7 +187,10 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
         last = observations[stations[-1]]
         outliers.append(Outlier(kind, last.log, stations, last.time_ns, text))
 
-    apart, what, sensors = fit.lin.legs.residual[:, :3], "Wheel slip or moved board", "cameras"
+    target, views, sensors = (
+        ("target", "pose is", "poses") if fit.data.posed else ("board", "images are", "cameras")
+    )
+    apart, what = fit.lin.legs.residual[:, :3], f"Wheel slip or moved {target}"
     if extraction.motions:
         apart, what, sensors = (
             wheels_minus_sensor(state, fit.lin.legs),
@@ -212,14 +215,14 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
         )
         add("slip", (i, j), text)
     expected, joints, prismatic = state.T_c_k, extraction.rig.chain.joints, extraction.rig.chain.prismatic
-    why = "a moved or wrong board, or wrong joint readings" if joints else "a moved or wrong board"
+    why = f"a moved or wrong {target}{', or wrong joint readings' if joints else ''}"
     for i in np.flatnonzero(~inliers.views).tolist():
         off = se3.log(observations[i].T_c_k @ se3.inverse(expected[i]))
         shift = (observations[i].T_c_k[:3, 3] - expected[i][:3, 3]) * 1e3
         text = (
-            f"Station {name(i)}, {clock(i)}: the board is {np.linalg.norm(shift):.0f} mm and "
+            f"Station {name(i)}, {clock(i)}: the {target} is {np.linalg.norm(shift):.0f} mm and "
             f"{math.degrees(float(np.linalg.norm(off[:3]))):.1f} degrees from the pose that the other stations "
-            f"predict. Its images are excluded. Check for {why}."
+            f"predict. Its {views} excluded. Check for {why}."
         )
         add("station", (i,), text)
     for i, j in np.argwhere(~inliers.readings).tolist():

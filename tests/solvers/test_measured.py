@@ -1,5 +1,6 @@
 """Poses that somebody else measured in place of corners."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -64,8 +65,13 @@ def test_a_wrong_pose_is_left_out():
     moved = replace(wrong, T_c_k=se3.exp(np.array([0, 0.2, 0, 0.3, 0, 0.0])) @ wrong.T_c_k)
     poses = [*recorded.poses[:7], moved, *recorded.poses[8:]]
     given = Drive(poses, recorded.wheel_time_s, recorded.right_rad, recorded.left_rad)
-    solution = solve(from_poses([given], tuple(robot.wheels.vector), chain_of(robot)))
-    assert len(solution.outliers) == 1
+    extraction = from_poses([given], tuple(robot.wheels.vector), chain_of(robot))
+    solution = solve(extraction)
+    (outlier,) = solution.outliers
+    assert re.search(r"the target is .* Its pose is excluded\.", outlier.text)
+    verdict = judge(solution, extraction)
+    assert verdict.check("stations").name == "stations with a measured pose"
+    assert not [check.id for check in verdict.checks if check.unit == "px"], "there are no images"
     assert np.abs(off(solution, parameters_of(robot))).max() < 4
 
 
