@@ -11,7 +11,8 @@ joints, wheels and floor say of it, c and e have the informations ``H_cc`` and `
 
 and what is left of e, of unit variance across M, adds ``D D^T`` with ``D = (H_ce - B M^T H_ee) (1 - M M^T)`` to the
 variance I of its right side. The largest generalized eigenvalue of ``(D D^T, I)`` is by how much the variance of a
-direction w of c is understated; with the pattern ``H_ee^-1 H_ec w``, ``w^T D`` is zero.
+direction w of c is understated; with the pattern ``H_ee^-1 H_ec w``, ``w^T D`` is zero. The patterns of all
+directions whose variance is understated by much are added at once, until there are none.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import FloatArray, Parameters, WheelGeometry, camera_words
 
 _CORNERS, _LENS = "board_corners", "lens_waves"
-#: Of the variance of the direction that suffers most: a sigma by 2.5 %.
+#: Of the variance of a direction: a sigma by 2.5 %.
 UNDERSTATED = 0.05
 _ACROSS = 2.0  # sigma across the board, in sigmas in the plane
 _WAVES_RMS = 1.6  # amplitude of each of n waves, in the rms over the image of all together over sqrt(n)
@@ -94,11 +95,10 @@ def _modes(H_cc: FloatArray, H_ce: FloatArray, H_ee: FloatArray) -> FloatArray:
         D = H_ce - B @ modes @ H_ee
         D -= D @ modes.T @ modes
         excess, directions = eigh(D @ D.T, H_cc - B @ modes @ H_ce.T)
-        if excess[-1] < UNDERSTATED:
+        understated = mending @ directions[:, excess >= UNDERSTATED]
+        if not understated.size:
             break
-        pattern = mending @ directions[:, -1]
-        pattern -= modes.T @ (modes @ pattern)
-        modes = np.concatenate([modes, pattern[None] / np.linalg.norm(pattern)])
+        modes = np.linalg.qr(np.concatenate([modes.T, understated], axis=1))[0].T
     return modes
 
 
