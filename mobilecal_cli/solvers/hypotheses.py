@@ -1,4 +1,4 @@
-"""The table of single mistakes: what each is, what to do about it, and what gives the readings without it.
+"""The table of mistakes: what each is, what to do about it, and what gives the readings without it.
 
 A family yields the mistakes of one kind that a recording may have. Families are tried in stages: those of a later stage
 have more freedom.
@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -172,17 +173,6 @@ def _in_recording(readings: Readings, log: int, transform: Callable[[Readings], 
     return replace(readings, wheels=(*readings.wheels[:log], there, *readings.wheels[log + 1 :]))
 
 
-def _all_in_degrees(readings: Readings) -> Iterator[Hypothesis]:
-    """One driver that publishes joints and wheels in degrees."""
-    if readings.rig.chain.joints and readings.rig.sources.assumed_odometry is None:
-        factor = math.pi / 180
-        yield Hypothesis(
-            "the readings of the joints and of the wheels are in degrees",
-            "correct the driver that publishes them, or convert the recording to rad",
-            lambda r: _wheels_times(_joints_times(r, factor), factor),
-        )
-
-
 def _poses(readings: Readings) -> Iterator[Hypothesis]:
     """The other direction of measured poses."""
     if readings.measured:
@@ -332,6 +322,27 @@ def _neighbors(readings: Readings) -> Iterator[Hypothesis]:
             )
 
 
+# -- two mistakes ------------------------------------------------------------------------------------
+
+
+def _two(readings: Readings) -> Iterator[Hypothesis]:
+    """Two mistakes in the readings of joints and wheels, as of a new robot."""
+    rows = [
+        *_delays(readings),
+        *_joints(readings),
+        *_wheels(readings),
+    ]  # delays are those of the tracks as read
+    for pair in combinations(rows, 2):
+        causes, cures = ([getattr(row, name) for row in pair] for name in ("cause", "cure"))
+        yield Hypothesis(", and ".join(causes), "; and ".join(cures), partial(_without, mistakes=pair))
+
+
+def _without(readings: Readings, mistakes: Sequence[Hypothesis]) -> Readings:
+    for mistake in mistakes:
+        readings = mistake.transform(readings)
+    return readings
+
+
 # -- stage 3: readings that say nothing: a joint, or the wheels, as the images show them --------------
 
 
@@ -352,7 +363,11 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
     """Readings of the wheels that have nothing to do with the drive."""
     sides = [(side, [getattr(track, side) for track in readings.wheels]) for side in SIDES]
     still = [side for side, tracks in sides if all(np.ptp(track.value) < STILL for track in tracks)]
-    rising = all(np.all(np.diff(track.value) >= -STILL) for _, tracks in sides for track in tracks)
+    rising = all(
+        np.all(np.diff(track.value) >= -STILL) and np.ptp(track.value) > MOVED
+        for _, tracks in sides
+        for track in tracks
+    )
     shown = "the images and the head joints show" if readings.rig.chain.joints else "the images show"
     if len(still) == 2:
         cause = "the readings of both wheels never change, and the images do not fit a base at rest"
@@ -484,8 +499,9 @@ def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> Whee
     return WheelTrack.at_same_times(stamps, *rolled)
 
 
-#: The table, in stages of growing freedom: mistakes in a whole recording, readings that never change, and readings that
-#: say nothing.
-WHOLE: Stages = ((_joints, _wheels, _all_in_degrees, _poses, interruptions), (_delays, _neighbors))
+#: The table, in stages of growing freedom: mistakes in a whole recording, two at once, readings that never change, and
+#: readings that say nothing.
+WHOLE: Stages = ((_joints, _wheels, _poses, interruptions), (_delays, _neighbors))
+TWO: Stages = ((_two,),)
 FROZEN: Stages = ((partial(_joints_as_seen, frozen=True),),)
 FREE: Stages = ((partial(_joints_as_seen, frozen=False),), (_free_wheels,))

@@ -33,6 +33,7 @@ from mobilecal_cli.solvers.hypotheses import (
     FROZEN,
     MOVED,
     SIDES,
+    TWO,
     WHOLE,
     Stages,
     interruptions,
@@ -47,6 +48,7 @@ from mobilecal_cli.solvers.transfer import dead_reckoned, leg_rms_m, point_rms_m
 #: Misfit of recordings that fit: up to 0.012 with noisy wheels, 0.3 px, and constants as far off as their priors.
 FITS = 0.02
 _FITS_CHANGED = FITS / 2  # the parts before and after a change
+_FITS_TWO = FITS / 2  # two mistakes: there are many pairs
 _FITS_FREE = FITS / 4  # with a free part: it takes up other mistakes too, but never to the level of the noise
 _BETTER = 0.4  # and at most this share of the misfit without the correction
 _EQUAL = 1.5  # hypotheses whose misfits differ by less cannot be distinguished
@@ -144,7 +146,12 @@ class Search:
         at_rest = _same_view(self._readings)
         if at_rest is None and self._fits:
             return self.other_wheels
-        return at_rest or self._named(self._readings, WHOLE) or other_focal_lengths(self.extraction)
+        return (
+            at_rest
+            or self._named(self._readings, WHOLE)
+            or other_focal_lengths(self.extraction)
+            or self._named(self._readings, TWO, _FITS_TWO)
+        )
 
     @cached_property
     def diagnosis(self) -> Diagnosis | None:

@@ -129,6 +129,18 @@ MISTAKES = {name: (WRONG[name].change, cause) for name, cause in CAUSES.items()}
     "pan stuck": (meaning.stuck(PAN, 6), "the reading of joint pan_joint does not change between"),
     "right wheel stuck": (wheels(STUCK, same), "the reading of the right wheel does not change between"),
     "both wheels stuck": (both(STUCK), "the readings of both wheels do not change between"),
+    "pan reversed, joints in degrees": (
+        lambda made: WRONG["joints in degrees"].change(WRONG["sign of pan"].change(made)),
+        "the sign of joint pan_joint is reversed, and the joint readings are in degrees",
+    ),
+    "pan and tilt exchanged, right wheel reversed": (
+        lambda made: WRONG["sign of the right wheel"].change(WRONG["pan and tilt exchanged"].change(made)),
+        "pan_joint and tilt_joint are exchanged, and the right wheel's encoder has the wrong sign",
+    ),
+    "joints 2 s late, wheels swapped": (
+        lambda made: WRONG["wheels swapped"].change(WRONG["joints 2 s late"].change(made)),
+        "the joint readings are about 2.0 s late, and the left and right wheels are swapped",
+    ),
     "left wheel reversed": (
         wheels(same, from_sixth(lambda v: -v)),
         "on, the left wheel's encoder has the wrong",
