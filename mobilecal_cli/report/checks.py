@@ -210,6 +210,31 @@ def legs(case: Case, metric: Metric) -> Iterator[Check]:
     )  # fmt: skip
 
 
+@criterion(Metric("prior", "sigma", section="description"), gated=False)
+def prior(case: Case, metric: Metric) -> Iterator[Check]:
+    """Values and priors of the user that the data contradict; those that move the result fail.
+
+    They come before changes, and what is not shown: with a wrong one, little else may fit.
+    """
+    uncertainty = case.solution.uncertainty
+    if uncertainty is None:
+        return
+    for given, (sigmas, shift) in uncertainty.asked.items():
+        if sigmas > CONTRADICTION_SIGMAS:
+            names = [option.split()[1] for option in given.split(" and ")]
+            values, are, them = (
+                ("values", "are together", "them") if len(names) > 1 else ("value", "is", "it")
+            )
+            yield metric.check(
+                sigmas, CONTRADICTION_SIGMAS, f"{given} against the data",
+                f"Correct {given} (m, rad, s; scales are relative), or leave {them} out.",
+                part=", ".join(names),
+                why=f"The {values} of {given} {are} {sigmas:.1f} sigma from what the data show. Without {them}, the "
+                f"result changes by up to {shift:.1f} standard deviations. Other findings may follow from it.",
+                beyond="fail" if shift > MATERIAL_SIGMAS else "warning",
+            )  # fmt: skip
+
+
 @criterion(Metric("nominal.scale", "%"), gated=False)
 def scale(case: Case, metric: Metric) -> Iterator[Check]:
     """Whether all sizes of the wheels are off the nominal ones to the same side: contradictions and changes follow.
@@ -222,7 +247,11 @@ def scale(case: Case, metric: Metric) -> Iterator[Check]:
     stated, square_m = rig.sources.assumed_wheels or rig.nominal.wheels, case.extraction.board.square_m
     if stated is None or case.solution.uncertainty is None:
         return
-    off = 100 * (wheels / stated.vector - 1)
+    # Where several wheels of a side slip, the separation is wider.
+    several = rig.sources.several_wheels
+    sizes = NINE[6:8] if several else NINE[6:]
+    which = "The radii of the wheels are both" if several else "Radii and separation of the wheels are all"
+    off = 100 * (wheels / stated.vector - 1)[: len(sizes)]
     least = int(np.argmin(np.abs(off)))
     common = float(off[least]) if abs(np.sign(off).sum()) == len(off) else 0.0
     std_m = math.sqrt(case.solution.uncertainty.covariance[6 + least, 6 + least])
@@ -235,14 +264,14 @@ def scale(case: Case, metric: Metric) -> Iterator[Check]:
     if case.extraction.measured:
         cure = "Check the scale of the measured poses: it is that of the wheels."
     if len(rig.cameras.each) > 1 or square_m is None:
-        ratios = dict(zip(NINE[6:], (1 + off / 100).tolist(), strict=True))
-        limit, cure = _SIZE_BAD, _nominal_cure("separation", ratios, case)
-        one_factor = abs(common) > limit and len(_alike(ratios, "separation")) == len(ratios)
+        ratios = dict(zip(sizes, (1 + off / 100).tolist(), strict=True))
+        limit, cure = _SIZE_BAD, _nominal_cure("radius_right", ratios, case)
+        one_factor = abs(common) > limit and len(_alike(ratios, "radius_right")) == len(ratios)
         if not one_factor or rig.sources.assumed_odometry is not None:
             return
     yield metric.check(
         common, limit, "common factor of all sizes of the wheels", cure,
-        why=f"Radii and separation of the wheels are all at least {abs(common):.1f} % "
+        why=f"{which} at least {abs(common):.1f} % "
         f"{'larger' if common > 0 else 'smaller'} than the nominal ones.",
         passes=abs(common) <= max(limit, by_chance),
     )  # fmt: skip
@@ -348,28 +377,6 @@ def jump(case: Case, metric: Metric) -> Iterator[Check]:
             passes=False,
             beyond="warning" if harmless else "fail",
         )  # fmt: skip
-
-
-@criterion(Metric("prior", "sigma", section="description"), gated=False)
-def prior(case: Case, metric: Metric) -> Iterator[Check]:
-    """Values and priors of the user that the data contradict; those that move the result fail.
-
-    They come first: with a wrong one, little else may fit, and what is left shows less.
-    """
-    uncertainty = case.solution.uncertainty
-    if uncertainty is None:
-        return
-    for name, (sigmas, shift) in uncertainty.asked.items():
-        if sigmas > CONTRADICTION_SIGMAS:
-            given = f"--fix {name}" if uncertainty.fixed[NINE.index(name)] else f"--prior {name}"
-            yield metric.check(
-                sigmas, CONTRADICTION_SIGMAS, f"{given} against the data",
-                f"Correct {given} (m, rad), or leave it out.",
-                part=name,
-                why=f"The value of {given} is {sigmas:.1f} sigma from what the data show. It changes {name} by "
-                f"{shift:.1f} standard deviations. Other findings may follow from it.",
-                beyond="fail" if shift > MATERIAL_SIGMAS else "warning",
-            )  # fmt: skip
 
 
 @criterion(Metric("contradiction", "sigma", section="description"), gated=False)

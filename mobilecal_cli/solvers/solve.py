@@ -15,11 +15,12 @@ from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
 from mobilecal_cli.likelihood.constants import PATTERNS
 from mobilecal_cli.likelihood.dataset import Dataset, Inliers, dataset_of
 from mobilecal_cli.likelihood.effects import Rolling
-from mobilecal_cli.likelihood.evidence import evidence
+from mobilecal_cli.likelihood.evidence import equivalent_sigmas, evidence
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import path_m
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
+    CONTRADICTION_SIGMAS,
     MATERIAL_SIGMAS,
     NINE,
     WHEEL_NOISE,
@@ -352,9 +353,9 @@ def _refusal(extraction: Extraction, search: Search) -> SolveError | None:
     return SolveError(
         "the recording does not fit the robot's description, and no known mistake explains it: the point error is "
         f"{100 * share:.0f} % of the distance to the board at most stations (usual: below {100 * FITS:.0f} %)"
-        f"{'' if measured else of_images}. Tried: signs, sides, order and units of "
-        "joints and wheels; late images, joints or wheels, if the robot stops; readings that stop, jump or "
-        "change their scale; and readings of one joint or of the wheels that do not belong to the recording",
+        f"{'' if measured else of_images}. Tried: signs, sides, order and units of joints and wheels, also two at "
+        "once; late images, joints or wheels, if the robot stops; readings that stop, jump or change their scale; and "
+        "readings of one joint or of the wheels that do not belong to the recording",
         f"check that all {'poses and readings' if measured else 'topics'} belong to this drive and this robot, "
         f"{'' if measured else 'camera_info, '}the head chain, and that neither the board nor a cable moved",
         noted=extraction.first_notes,
@@ -407,26 +408,33 @@ def _diagnosis(solution: Solution, extraction: Extraction, search: Search) -> Di
 def _asked_of(
     extraction: Extraction, fit: Fit, inference: Inference, start: Parameters
 ) -> dict[str, tuple[float, float]]:
-    """How far the data alone are from what the user asks of the nine parameters, see `Uncertainty.asked`.
+    """How far the data alone are from what the user asks, each and all together, see `Uncertainty.asked`.
 
     Empty where the data alone do not determine the parameters, and for a planar sensor, much of which is fixed always.
     """
-    constraints = inference.constraints
+    constraints, priors = inference.constraints, fit.lin.priors
     sigmas = dict.fromkeys(constraints.fixed, 0.0) | {
         k: sigma for k, (_, sigma) in constraints.priors.items()
     }
-    asked = {name: sigma for name, sigma in sigmas.items() if name in NINE}
-    if not asked or extraction.motions:
+    if not sigmas or extraction.motions:
         return {}
     try:
-        alone = robust_fit(Inference.of(extraction, constraints.without(asked), inference.on_step), start)
+        alone = robust_fit(Inference.of(extraction, constraints.without(sigmas), inference.on_step), start)
     except SolveError:
         return {}
-    priors, distances = fit.lin.priors, {}
-    std = np.sqrt(np.diag(alone.covariance))
-    value, used = (priors.displacement(each.lin.state) for each in (alone, fit))
-    for k, name in enumerate(NINE):
-        if name in asked:
-            away = abs(value[k] - priors.mean[k]) / math.hypot(std[k], asked[name])
-            distances[name] = float(away), float(abs(value[k] - used[k]) / std[k])
+    state, known = alone.lin.state, alone.data.layout.names
+    names = [name for name in fit.data.layout.names if name in sigmas and name in known]
+    at, asked = ([every.index(name) for name in names] for every in (known, fit.data.layout.names))
+    nine, used = (each.lin.state.parameters.minus(priors.anchor) for each in (alone, fit))
+    std = np.sqrt(np.diag(alone.covariance)[: len(NINE)])
+    shift = float(np.max(np.abs(nine - used) / std))
+    values = np.append(nine, [state.value(row.name) for row in alone.data.layout.constants])
+    away = values[at] - priors.mean[asked]
+    spread = alone.covariance[np.ix_(at, at)] + np.diag([sigmas[name] ** 2 for name in names])
+    each = np.abs(away) / np.sqrt(np.diag(spread))
+    given = [f"--{'prior' if name in constraints.priors else 'fix'} {name}" for name in names]
+    distances = {option: (sigma, shift) for option, sigma in zip(given, each.tolist(), strict=True)}
+    if len(names) > 1 and each.max() <= CONTRADICTION_SIGMAS:  # no single one, but all of them
+        chi2 = float(away @ np.linalg.solve(spread, away))
+        distances[" and ".join(given)] = equivalent_sigmas(chi2, len(names)), shift
     return distances

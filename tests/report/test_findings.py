@@ -165,17 +165,44 @@ def test_values_of_the_user_that_the_data_contradict_are_named():
     constraints = constraints_of([f"separation={separation:.6f}"], [f"t_x={x:.6f}+-{x_std:.6f}"], [])
     solution = solve(extraction, constraints=constraints)
     asked = solution.uncertainty.asked
-    assert asked["separation"] == pytest.approx((10.0, 10.0), rel=0.1)
-    sigmas, shift = asked["t_x"]
+    assert asked["--fix separation"] == pytest.approx((10.0, 10.0), rel=0.1)
+    sigmas, shift = asked["--prior t_x"]
     assert sigmas == pytest.approx(10.0 / np.sqrt(2), rel=0.1)
-    assert 4 < shift < 6.5  # half of it, and what the fixed separation adds
+    assert shift == pytest.approx(10.0, rel=0.1)
     verdict = judge(solution, extraction)
     assert verdict.level == "FAIL"
     for given in ("--fix separation", "--prior t_x"):
         check = verdict.check(f"prior.{given.partition(' ')[2]}")
         assert check.outcome == "fail"
         assert check.why.startswith(f"The value of {given} is ")
-        assert check.next_step == f"Correct {given} (m, rad), or leave it out."
+        assert check.next_step == f"Correct {given} (m, rad, s; scales are relative), or leave it out."
+
+
+def test_values_that_the_data_contradict_together_are_named_together():
+    """Radii that correlate by more than 0.5, each 2.5 sigma from what the data show, to opposite sides."""
+    right, extraction = drawn()
+    radii, std = right.parameters.vector[6:8], right.uncertainty.std[6:8]
+    values = radii + 2.5 * std * [1, -1]
+    priors = [
+        f"{name}={value:.7f}+-{sigma / 20:.7f}"
+        for name, value, sigma in zip(NINE[6:8], values, std, strict=True)
+    ]
+    verdict = judge(solve(extraction, constraints=constraints_of([], priors, [])), extraction)
+    assert verdict.level == "FAIL"
+    assert verdict.reason.startswith(
+        "The values of --prior radius_right and --prior radius_left are together"
+    )
+
+
+def test_a_constant_that_the_user_fixes_is_tested():
+    """An axis of the URDF was blamed, beside a PASS with a rotation that was off by 19 sigma."""
+    _, extraction = drawn()
+    name = "pan_zero"
+    verdict = judge(solve(extraction, constraints=constraints_of([f"{name}=0.02"], [], [])), extraction)
+    assert verdict.level == "FAIL"
+    assert verdict.reason.startswith(f"The value of --fix {name} is ")
+    right = judge(solve(extraction, constraints=constraints_of([f"{name}=0"], [], [])), extraction)
+    assert not [check for check in right.checks if check.id.startswith("prior.")]
 
 
 @pytest.mark.parametrize(
@@ -183,7 +210,7 @@ def test_values_of_the_user_that_the_data_contradict_are_named():
 )
 def test_a_value_of_the_user_fails_where_it_moves_the_result(asked, outcome):
     solution, extraction = drawn()
-    checks = judge(with_uncertainty(solution, asked={"t_x": asked}), extraction).checks
+    checks = judge(with_uncertainty(solution, asked={"--fix t_x": asked}), extraction).checks
     outcomes = [check.outcome for check in checks if check.id == "prior.t_x"]
     assert outcomes == [outcome] * (outcome is not None)
 

@@ -256,6 +256,11 @@ def test_one_factor_of_all_sizes_goes_before_what_follows_from_it():
     assert judge(moved, stated).reason.startswith("Radii and separation of the wheels are all at least 33")
     radii = with_nominal(extraction, Nominal(wheels=WheelGeometry(*(WHEELS.vector * (1.5, 1.5, 1.3)))))
     assert judge(moved, radii).reason.startswith("At station 6")
+    # With four wheels, the separation says nothing: slip makes it wider.
+    sources = radii.rig.sources
+    four = {side: replace(source, others=(source,)) for side, source in sources.wheels.items()}
+    skid = replace(radii, rig=replace(radii.rig, sources=replace(sources, wheels=four)))
+    assert judge(moved, skid).reason.startswith("The radii of the wheels are both at least 33")
 
 
 @pytest.mark.parametrize(("times", "warned"), [(30.0, True), (3.0, False)])
