@@ -790,7 +790,9 @@ _NOISE = {
     _HEIGHT: (4.0, 30.0, "floor (height of the base)", "that the floor is flat and that the board does not move"),
     Metric("noise.joint", "degrees", section="limits"): (0.2, 0.4, *_PLAY),
     Metric("noise.sliding_joint", "mm", section="limits"): (0.35, 0.7, *_PLAY),
-    Metric("noise.wheel", "rad per sqrt(rad)", section="limits"): (0.015, WHEEL_NOISE, "wheels", "the wheels for slip"),
+    Metric("noise.wheel", "rad per sqrt(rad)", section="limits"): (
+        0.015, WHEEL_NOISE, "wheels", "the wheels for slip, and the head chain in the URDF",
+    ),
     Metric("noise.wheel_share", "%", section="limits"): (
         1.0, 5.0, "wheels in proportion to their rotation", "the wheels for slip, the tires and the load",
     ),
@@ -822,15 +824,15 @@ def noise(case: Case, *levels: Metric) -> Iterator[Check]:
     found, moving = uncertainty.noise, not all(o.at_rest for o in case.extraction.observations)
     slides = bool(chain.joints) and len(chain.prismatic) == len(chain.joints)
     measured = {
-        "noise.height": 1e3 * found.floor_m,
-        "noise.joint": 0.0 if slides else math.degrees(found.joint_rad),
-        "noise.sliding_joint": 1e3 * chain.joint_units[0] * found.joint_rad if slides else 0.0,
-        "noise.wheel": found.wheel_rad_per_sqrt_rad,
-        "noise.wheel_share": 100 * found.wheel_share,
-        "noise.floor": math.degrees(found.floor_rad),
-        "noise.stamp": 1e3 * found.stamp_s if moving else 0.0,
-        "noise.pair": 1e3 * found.pair_s if "pair_s" in found.estimated else 0.0,
-        "noise.shift": found.shift_px if "shift_px" in found.estimated else 0.0,
+        "noise.height": ("floor_m", 1e3),
+        "noise.joint": ("joint_rad", 0.0 if slides else math.degrees(1)),
+        "noise.sliding_joint": ("joint_rad", 1e3 * chain.joint_units[0] if slides else 0.0),
+        "noise.wheel": ("wheel_rad_per_sqrt_rad", 1.0),
+        "noise.wheel_share": ("wheel_share", 100.0),
+        "noise.floor": ("floor_rad", math.degrees(1)),
+        "noise.stamp": ("stamp_s", 1e3 * moving),
+        "noise.pair": ("pair_s", 1e3 * ("pair_s" in found.estimated)),
+        "noise.shift": ("shift_px", 1.0 * ("shift_px" in found.estimated)),
     }
     moved_board = {(jump.part, jump.also) for jump in case.solution.jumps} == {("board", "")}
     stepped = [visible(note) for note in case.extraction.notes if CLOCK_STEPS in note]
@@ -838,13 +840,21 @@ def noise(case: Case, *levels: Metric) -> Iterator[Check]:
     if case.extraction.measured:
         stated = ", and that the covariances of the poses state rotations and translations equally well"
     for metric in levels:
-        (usual, bad, name, cause), level = _NOISE[metric], measured[metric.name]
+        (usual, bad, name, cause), (field, unit) = _NOISE[metric], measured[metric.name]
+        level = unit * getattr(found, field)
         if metric.name == "noise.stamp" and stepped:
             cause = f"that no clock is adjusted during the recording ({stepped[0]})"
+        cure, known = f"Check {cause}{stated}. Then record again.", ""
+        if field in case.extraction.rig.noise:
+            cure, known = (
+                f"Correct noise: {field} in rig.yaml, or leave it out: it is estimated.",
+                " stated as",
+            )
         yield metric.check(
-            level, bad, f"noise of the {name}" if level else "", f"Check {cause}{stated}. Then record again.",
+            level, bad, f"noise of the {name}" if level else "", cure,
             measured=f"{level:.2g} {metric.unit}",
-            why=f"The noise of the {name} is {level:.2g} {metric.unit} (below {usual:g} {metric.unit} is usual).",
+            why=f"The noise of the {name} is{known} {level:.2g} {metric.unit} "
+            f"(below {usual:g} {metric.unit} is usual).",
             beyond="warning" if moved_board and metric in (_HEIGHT, _FLOOR) else "fail",
         )  # fmt: skip
 

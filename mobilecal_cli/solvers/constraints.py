@@ -141,6 +141,8 @@ def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
             "the zero offset of the last joint is a head-eye rotation and cannot be estimated separately",
         )
     near = difflib.get_close_matches(name, [*known, *_OFTEN], 1)
+    if name in _OFTEN:
+        return ConfigError(message, "this robot has no such joint: leave it out")
     if near:
         return ConfigError(message, f"did you mean {near[0]}?")
     names = f"kinds: {', '.join((*_KIND_GROUPS, *_KINDS))}"

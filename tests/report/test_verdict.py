@@ -237,6 +237,17 @@ def test_a_hint_names_only_what_the_ratio_can_be(solution, extraction, factors, 
     assert unsaid not in step
 
 
+def test_noise_that_is_stated_is_not_found():
+    """A level of rig.yaml: "Check the head joints for play. Then record again"."""
+    solution, extraction = drawn()
+    noisy = with_noise(solution, joint_rad=0.0175)
+    assert judge(noisy, extraction).next_step.startswith("Check the head joints")
+    stated = replace(extraction, rig=replace(extraction.rig, noise={"joint_rad": 0.0175}))
+    verdict = judge(noisy, stated)
+    assert verdict.reason.startswith("The noise of the joint readings is stated as 1 degrees")
+    assert verdict.next_step == "Correct noise: joint_rad in rig.yaml, or leave it out: it is estimated."
+
+
 def test_a_scale_that_squares_and_baseline_confirm_is_not_suspected():
     solution, extraction = drawn()
     stated = with_nominal(extraction, Nominal(wheels=WheelGeometry(*(1.5 * WHEELS.vector))))
