@@ -221,7 +221,7 @@ def prior(case: Case, metric: Metric) -> Iterator[Check]:
         return
     for given, (sigmas, shift) in uncertainty.asked.items():
         if sigmas > CONTRADICTION_SIGMAS:
-            names = [option.split()[1] for option in given.split(" and ")]
+            names = [option.split()[-1].removeprefix("priors.") for option in given.split(" and ")]
             values, are, them = (
                 ("values", "are together", "them") if len(names) > 1 else ("value", "is", "it")
             )

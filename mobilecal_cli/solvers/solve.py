@@ -48,7 +48,7 @@ from mobilecal_cli.solvers.findings import (
     scale_of,
 )
 from mobilecal_cli.solvers.fit import Fit, uncertainty_of
-from mobilecal_cli.solvers.inference import Inference
+from mobilecal_cli.solvers.inference import Inference, dataset_for
 from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, robust_fit
@@ -405,6 +405,28 @@ def _diagnosis(solution: Solution, extraction: Extraction, search: Search) -> Di
     return turned_around(extraction.rig, solution.parameters.T_h_c)
 
 
+def _narrower_priors(extraction: Extraction, constraints: Constraints) -> dict[str, tuple[float, list[str]]]:
+    """Name or kind of the priors in rig.yaml that are narrower than usual → sigma, and names of the constants."""
+    stated = extraction.rig.prior_sigmas
+    own = {key: sigma for key, sigma in stated.items() if key != "all"}
+    if not own:
+        return {}
+    others = {key: sigma for key, sigma in stated.items() if key not in own}
+    usual = dataset_for(
+        replace(extraction, rig=replace(extraction.rig, prior_sigmas=others)), constraints
+    ).layout
+    given = {*constraints.fixed, *constraints.priors}
+    narrow = {
+        key: [
+            row.name
+            for row in usual.constants
+            if key in (row.name, row.kind) and sigma < row.sigma and row.name not in given
+        ]
+        for key, sigma in own.items()
+    }
+    return {key: (own[key], names) for key, names in narrow.items() if names}
+
+
 def _asked_of(
     extraction: Extraction, fit: Fit, inference: Inference, start: Parameters
 ) -> dict[str, tuple[float, float]]:
@@ -412,29 +434,43 @@ def _asked_of(
 
     Empty where the data alone do not determine the parameters, and for a planar sensor, much of which is fixed always.
     """
-    constraints, priors = inference.constraints, fit.lin.priors
-    sigmas = dict.fromkeys(constraints.fixed, 0.0) | {
-        k: sigma for k, (_, sigma) in constraints.priors.items()
+    constraints, priors, known = inference.constraints, fit.lin.priors, fit.data.layout.names
+    given = {
+        f"--{'prior' if name in constraints.priors else 'fix'} {name}": (
+            constraints.priors.get(name, (0.0, 0.0))[1],
+            {name: float(priors.mean[known.index(name)])},
+        )
+        for name in known
+        if name in constraints.priors or name in constraints.fixed
     }
-    if not sigmas or extraction.motions:
+    narrow = _narrower_priors(extraction, constraints)
+    given |= {f"priors.{key}": (sigma, dict.fromkeys(names, 0.0)) for key, (sigma, names) in narrow.items()}
+    if not given or extraction.motions:
         return {}
+    usual = {key: sigma for key, sigma in extraction.rig.prior_sigmas.items() if key not in narrow}
+    freed = replace(extraction, rig=replace(extraction.rig, prior_sigmas=usual))
+    asked = [name for _, means in given.values() for name in means]
     try:
-        alone = robust_fit(Inference.of(extraction, constraints.without(sigmas), inference.on_step), start)
+        alone = robust_fit(Inference.of(freed, constraints.without(asked), inference.on_step), start)
     except SolveError:
         return {}
-    state, known = alone.lin.state, alone.data.layout.names
-    names = [name for name in fit.data.layout.names if name in sigmas and name in known]
-    at, asked = ([every.index(name) for name in names] for every in (known, fit.data.layout.names))
+    layout = alone.data.layout
     nine, used = (each.lin.state.parameters.minus(priors.anchor) for each in (alone, fit))
     std = np.sqrt(np.diag(alone.covariance)[: len(NINE)])
     shift = float(np.max(np.abs(nine - used) / std))
-    values = np.append(nine, [state.value(row.name) for row in alone.data.layout.constants])
-    away = values[at] - priors.mean[asked]
-    spread = alone.covariance[np.ix_(at, at)] + np.diag([sigmas[name] ** 2 for name in names])
-    each = np.abs(away) / np.sqrt(np.diag(spread))
-    given = [f"--{'prior' if name in constraints.priors else 'fix'} {name}" for name in names]
-    distances = {option: (sigma, shift) for option, sigma in zip(given, each.tolist(), strict=True)}
-    if len(names) > 1 and each.max() <= CONTRADICTION_SIGMAS:  # no single one, but all of them
-        chi2 = float(away @ np.linalg.solve(spread, away))
-        distances[" and ".join(given)] = equivalent_sigmas(chi2, len(names)), shift
+    values = np.append(nine, [alone.lin.state.value(row.name) for row in layout.constants])
+
+    def sigmas(*options: str) -> float:
+        means = [(given[each][0], *item) for each in options for item in given[each][1].items()]
+        own, names, mean = (list(column) for column in zip(*means, strict=True))
+        at = [layout.names.index(name) for name in names]
+        away = values[at] - mean
+        spread = alone.covariance[np.ix_(at, at)] + np.diag(np.square(own))
+        return equivalent_sigmas(float(away @ np.linalg.solve(spread, away)), len(at))
+
+    distances = {option: (sigmas(option), shift) for option in given}
+    if (
+        len(given) > 1 and max(distances.values())[0] <= CONTRADICTION_SIGMAS
+    ):  # no single one, but all of them
+        distances[" and ".join(given)] = sigmas(*given), shift
     return distances
