@@ -204,7 +204,7 @@ def test_a_constant_that_the_user_fixes_is_tested():
     right = judge(solve(extraction, constraints=constraints_of([f"{name}=0"], [], [])), extraction)
     assert not [check for check in right.checks if check.id.startswith("prior.")]
     exact = replace(extraction, rig=replace(extraction.rig, prior_sigmas={name: 0.0}))
-    shifted = [replace(o, joints=o.joints + [0.02, 0.0]) for o in extraction.observations]
+    shifted = [replace(o, joints=o.joints + np.array([0.02, 0.0])) for o in extraction.observations]
     wrong = replace(exact, observations=tuple(shifted))
     assert judge(solve(wrong), wrong).reason.startswith(f"The value of priors.{name} is ")
     assert judge(solve(exact), exact).level == right.level
