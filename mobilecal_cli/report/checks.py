@@ -15,7 +15,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import encoder_steps_rad
 from mobilecal_cli.likelihood import jumps
-from mobilecal_cli.likelihood.constants import FREE, NINE_SIGMAS, family, kind_of
+from mobilecal_cli.likelihood.constants import NINE_SIGMAS, family, kind_of
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     CHAIN_ENDS,
@@ -52,7 +52,7 @@ from mobilecal_cli.report.numbers import (
     stations_looked_at,
     std_text,
 )
-from mobilecal_cli.report.use import FIGURES, next_step_of, uses
+from mobilecal_cli.report.use import FIGURES, freed_kinds, next_step_of, uses
 
 #: Nine unknowns need four stations; twice that gives enough redundancy to detect errors.
 MIN_STATIONS = 8
@@ -436,20 +436,12 @@ def observable(case: Case, metric: Metric) -> Iterator[Check]:
 
 def _motion_to_add(case: Case, missing: list[str]) -> tuple[str, str]:
     """Why these parameters are not determined, after a colon, and what to do."""
-    solution, motion = case.solution, case.solution.motion
-    widths = (
-        solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
-    )  # that the data ask for
-    free = {
-        c.kind
-        for c in solution.constants.values()
-        if c.prior >= FREE * kind_of(c.kind).sigma * widths.get(family(c.kind), 1.0)
-    }
+    free, motion = freed_kinds(case.solution), case.solution.motion
     ignored = sorted(free - ({"square_size"} if case.extraction.board.square_m is None else set()))
     if ignored and not small_motion(motion, missing):
         return (
             f": the stated values of {', '.join(ignored)} are ignored",
-            "Use them: leave out --estimate, and free in priors of rig.yaml.",
+            "Use them: leave out what frees them, --estimate or free in priors of rig.yaml.",
         )
     because, cure = missing_motion(motion, missing, case.extraction.rig.chain)
     return f": {because}" if because else "", f"Record again and {cure}."

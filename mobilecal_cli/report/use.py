@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from mobilecal_cli.likelihood.constants import kind_of
+from mobilecal_cli.likelihood.constants import FREE, family, kind_of
 from mobilecal_cli.model import NINE, AtWork, Extraction, Solution
 from mobilecal_cli.ranges import ACCURACY, accuracy
 from mobilecal_cli.report.numbers import DEG, std_text
@@ -81,10 +81,8 @@ class Error:
     @property
     def limiting(self) -> str:
         """Which group of sources contributes most to it, as a sentence; "" where that is unknown."""
-        for share, family in family_shares(self.shares):
-            return (
-                f"{FAMILIES[family].limits} the {self.figure.meaning}: {100 * share:.0f} % of its variance."
-            )
+        for share, group in family_shares(self.shares):
+            return f"{FAMILIES[group].limits} the {self.figure.meaning}: {100 * share:.0f} % of its variance."
         return ""
 
 
@@ -126,6 +124,18 @@ class Cure(NamedTuple):
         return math.sqrt(max(1 - self.removed, 0.0))
 
 
+def freed_kinds(solution: Solution) -> set[str]:
+    """Kinds of constants whose stated values the user has the estimate ignore."""
+    widths = (
+        solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
+    )  # that the data ask for
+    return {
+        c.kind
+        for c in solution.constants.values()
+        if c.prior >= FREE * kind_of(c.kind).sigma * widths.get(family(c.kind), 1.0)
+    }
+
+
 def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[Cure, ...]:
     """What improves an error by 5 % or more, the cheapest first."""
     of = {name: share for share, name in error.shares}
@@ -140,7 +150,13 @@ def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[
     if other:
         stated = max(other, key=lambda name: of[name])
         command = f"{STATED[stated].advice}, and state half of `priors: {stated}` in rig.yaml"
-        cures.append(Cure(command, of[stated] * (1 - 1 / _BETTER**2)))
+        removed = of[stated] * (1 - 1 / _BETTER**2)
+        if stated in freed_kinds(solution):
+            command, removed = (
+                f"Leave out what frees {stated}, --estimate or free in priors of rig.yaml",
+                of[stated],
+            )
+        cures.append(Cure(command, removed))
     differ = (
         "Calibrate each recording alone, and check that all are of one robot on which nothing was changed"
     )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mobilecal_cli.likelihood.constants import KINDS
+from mobilecal_cli.likelihood.constants import FREE, KINDS, kind_of
 from mobilecal_cli.model import NINE
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.report.motion import missing_motion
@@ -142,6 +142,18 @@ def test_more_stations_do_not_help_against_stated_values():
     ):
         limited = with_share(solution, source, share)
         assert next_step_of(worst_error(limited, {}), limited, extraction).startswith(advice)
+    limited = with_share(solution, "joint_position", 0.9)
+    wide = {
+        name: replace(each, prior=FREE * kind_of(each.kind).sigma)
+        for name, each in solution.constants.items()
+        if each.kind == "joint_position"
+    }
+    free = replace(limited, constants={**solution.constants, **wide})
+    for found, advice in (
+        (limited, "Measure the geometry of the head"),
+        (free, "Leave out what frees joint_position"),
+    ):
+        assert next_step_of(worst_error(found, {}), found, extraction).startswith(advice)
 
 
 def test_more_stations_do_not_help_against_recordings_that_differ():
