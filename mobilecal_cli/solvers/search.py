@@ -91,7 +91,7 @@ class _Score:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """The search for the mistake because of which a recording does not fit, or two; each step is made once, when needed.
+    """The search for the mistake or two because of which a recording does not fit; each step is made once, when needed.
 
     Args:
         extraction: a recording of a target with at least three legs.
