@@ -455,6 +455,11 @@ def _asked_of(
     except SolveError:
         return {}
     layout = alone.data.layout
+    shown = {
+        option: (sigma, {name: mean for name, mean in means.items() if name in layout.names})
+        for option, (sigma, means) in given.items()
+    }
+    given = {option: each for option, each in shown.items() if each[1]}
     nine, used = (each.lin.state.parameters.minus(priors.anchor) for each in (alone, fit))
     std = np.sqrt(np.diag(alone.covariance)[: len(NINE)])
     shift = float(np.max(np.abs(nine - used) / std))

@@ -208,6 +208,10 @@ def test_a_constant_that_the_user_fixes_is_tested():
     wrong = replace(exact, observations=tuple(shifted))
     assert judge(solve(wrong), wrong).reason.startswith(f"The value of priors.{name} is ")
     assert judge(solve(exact), exact).level == right.level
+    # Exact without it, and patterns of which there are more or fewer without it: nothing to compare.
+    every = replace(extraction, rig=replace(extraction.rig, prior_sigmas={"all": 0.0, "board_corners": 1e-5}))
+    asked = solve(every, constraints=constraints_of([f"{name}=0.01"], [], [])).uncertainty.asked
+    assert set(asked) <= {"priors.board_corners"}
 
 
 @pytest.mark.parametrize(
