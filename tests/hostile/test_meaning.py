@@ -23,7 +23,8 @@ def test_a_wrong_recording_is_refused_fails_or_does_no_harm(name):
         assert found.kind != "PASS, wrong", f"{found.sigmas:.1f} sigma"
 
 
-#: Recording → outcome or a part of it (refused or FAIL, both name the cause), and what is said; each had a false cause in some version.
+#: Recording → outcome, or what of it is sure (refused and FAIL both name the cause), and what is said; each had a false
+#: cause in some version.
 SAID = {
     "counters without a direction": ("refused, right cause", "readings of both wheels never decrease"),
     "joints 2 s late": ("refused, right cause", "the joint readings are about 2.0 s late"),
