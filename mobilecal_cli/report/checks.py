@@ -838,10 +838,8 @@ def noise(case: Case, *levels: Metric) -> Iterator[Check]:
             cause = f"that no clock is adjusted during the recording ({stepped[0]})"
         cure, known = f"Check {cause}{stated}. Then record again.", ""
         if field in case.extraction.rig.noise:
-            cure, known = (
-                f"Correct noise: {field} in rig.yaml, or leave it out: it is estimated.",
-                " stated as",
-            )
+            known = " stated as"
+            cure = f"Correct noise: {field} in rig.yaml, or leave it out: it is estimated."
         yield metric.check(
             level, bad, f"noise of the {name}" if level else "", cure,
             measured=f"{level:.2g} {metric.unit}",

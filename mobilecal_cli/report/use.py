@@ -126,9 +126,8 @@ class Cure(NamedTuple):
 
 def freed_kinds(solution: Solution) -> set[str]:
     """Kinds of constants whose stated values the user has the estimate ignore."""
-    widths = (
-        solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
-    )  # that the data ask for
+    # Priors that the data ask to be wider are not the user's.
+    widths = {} if solution.uncertainty is None else solution.uncertainty.noise.wider
     return {
         c.kind
         for c in solution.constants.values()
@@ -152,10 +151,8 @@ def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[
         command = f"{STATED[stated].advice}, and state half of `priors: {stated}` in rig.yaml"
         removed = of[stated] * (1 - 1 / _BETTER**2)
         if stated in freed_kinds(solution):
-            command, removed = (
-                f"Leave out what frees {stated}, --estimate or free in priors of rig.yaml",
-                of[stated],
-            )
+            command = f"Leave out what frees {stated}, --estimate or free in priors of rig.yaml"
+            removed = of[stated]
         cures.append(Cure(command, removed))
     differ = (
         "Calibrate each recording alone, and check that all are of one robot on which nothing was changed"

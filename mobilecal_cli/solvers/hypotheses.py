@@ -327,11 +327,8 @@ def _neighbors(readings: Readings) -> Iterator[Hypothesis]:
 
 def _two(readings: Readings) -> Iterator[Hypothesis]:
     """Two mistakes in the readings of joints and wheels, as of a new robot."""
-    rows = [
-        *_delays(readings),
-        *_joints(readings),
-        *_wheels(readings),
-    ]  # delays are those of the tracks as read
+    # A delay shifts the tracks as they are read: it comes first.
+    rows = [*_delays(readings), *_joints(readings), *_wheels(readings)]
     for pair in combinations(rows, 2):
         causes, cures = ([getattr(row, name) for row in pair] for name in ("cause", "cure"))
         yield Hypothesis(", and ".join(causes), "; and ".join(cures), partial(_without, mistakes=pair))
