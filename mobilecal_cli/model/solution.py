@@ -198,9 +198,9 @@ class Uncertainty(ReadOnly):
         camera: (6 + K, 6 + K) covariance of the first camera's pose in the base, right twist (rotation, then
             translation; mean over the head's poses), and of the `camera_constants`, K names.
         budget: what limits the accuracy.
-        asked: option with which the user fixed a parameter or constant, or stated its prior ("--fix t_x"), a narrower
-            prior in rig.yaml ("priors.pan_zero"), or all of them (joined by " and ") → distance of the data from what
-            is asked, and the largest change of the nine without any, both in standard deviations.
+        asked: options with which the user fixed a parameter or constant, or stated its prior ("--fix t_x"), or narrower
+            priors in rig.yaml ("priors.pan_zero"), each alone or all together → distance of the data from what is
+            asked, and the largest change of the nine without any, both in standard deviations.
     """
 
     covariance: Annotated[FloatArray, 9, 9]
@@ -219,7 +219,7 @@ class Uncertainty(ReadOnly):
     camera: Annotated[FloatArray, "C", "C"]
     camera_constants: tuple[str, ...]
     budget: Budget
-    asked: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    asked: Mapping[tuple[str, ...], tuple[float, float]] = field(default_factory=dict)
 
     @property
     def std(self) -> FloatArray:

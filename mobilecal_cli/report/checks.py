@@ -219,16 +219,14 @@ def prior(case: Case, metric: Metric) -> Iterator[Check]:
     uncertainty = case.solution.uncertainty
     if uncertainty is None:
         return
-    for given, (sigmas, shift) in uncertainty.asked.items():
+    for options, (sigmas, shift) in uncertainty.asked.items():
         if sigmas > CONTRADICTION_SIGMAS:
-            names = [option.split()[-1].removeprefix("priors.") for option in given.split(" and ")]
-            values, are, them = (
-                ("values", "are together", "them") if len(names) > 1 else ("value", "is", "it")
-            )
+            given, one = " and ".join(options), len(options) == 1
+            values, are, them = ("value", "is", "it") if one else ("values", "are together", "them")
             yield metric.check(
                 sigmas, CONTRADICTION_SIGMAS, f"{given} against the data",
                 f"Correct {given} (m, rad, s; scales are relative), or leave {them} out.",
-                part=", ".join(names),
+                part=", ".join(option.split()[-1].removeprefix("priors.") for option in options),
                 why=f"The {values} of {given} {are} {sigmas:.1f} sigma from what the data show. Without {them}, the "
                 f"result changes by up to {shift:.1f} standard deviations. Other findings may follow from it.",
                 beyond="fail" if shift > MATERIAL_SIGMAS else "warning",
@@ -441,7 +439,7 @@ def _motion_to_add(case: Case, missing: list[str]) -> tuple[str, str]:
     if ignored and not small_motion(motion, missing):
         return (
             f": the stated values of {', '.join(ignored)} are ignored",
-            "Use them: leave out what frees them, --estimate or free in priors of rig.yaml.",
+            "Use them: leave out the --estimate, or the free prior in rig.yaml, that ignores them.",
         )
     because, cure = missing_motion(motion, missing, case.extraction.rig.chain)
     return f": {because}" if because else "", f"Record again and {cure}."

@@ -151,7 +151,7 @@ def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[
         command = f"{STATED[stated].advice}, and state half of `priors: {stated}` in rig.yaml"
         removed = of[stated] * (1 - 1 / _BETTER**2)
         if stated in freed_kinds(solution):
-            command = f"Leave out what frees {stated}, --estimate or free in priors of rig.yaml"
+            command = f"Leave out --estimate {stated}, or `priors: {stated}: free` in rig.yaml"
             removed = of[stated]
         cures.append(Cure(command, removed))
     differ = (

@@ -429,7 +429,7 @@ def _narrower_priors(extraction: Extraction, constraints: Constraints) -> dict[s
 
 def _asked_of(
     extraction: Extraction, fit: Fit, inference: Inference, start: Parameters
-) -> dict[str, tuple[float, float]]:
+) -> dict[tuple[str, ...], tuple[float, float]]:
     """How far the data alone are from what the user asks, each and all together, see `Uncertainty.asked`.
 
     Empty where the data alone do not determine the parameters, and for a planar sensor, much of which is fixed always.
@@ -473,9 +473,11 @@ def _asked_of(
         spread = alone.covariance[np.ix_(at, at)] + np.diag(np.square(own))
         return equivalent_sigmas(float(away @ np.linalg.solve(spread, away)), len(at))
 
-    distances = {option: (sigmas(option), shift) for option in given}
+    distances: dict[tuple[str, ...], tuple[float, float]] = {
+        (option,): (sigmas(option), shift) for option in given
+    }
     if (
         len(given) > 1 and max(distances.values())[0] <= CONTRADICTION_SIGMAS
     ):  # no single one, but all of them
-        distances[" and ".join(given)] = sigmas(*given), shift
+        distances[tuple(given)] = sigmas(*given), shift
     return distances

@@ -165,8 +165,8 @@ def test_values_of_the_user_that_the_data_contradict_are_named():
     constraints = constraints_of([f"separation={separation:.6f}"], [f"t_x={x:.6f}+-{x_std:.6f}"], [])
     solution = solve(extraction, constraints=constraints)
     asked = solution.uncertainty.asked
-    assert asked["--fix separation"] == pytest.approx((10.0, 10.0), rel=0.1)
-    sigmas, shift = asked["--prior t_x"]
+    assert asked["--fix separation",] == pytest.approx((10.0, 10.0), rel=0.1)
+    sigmas, shift = asked["--prior t_x",]
     assert sigmas == pytest.approx(10.0 / np.sqrt(2), rel=0.1)
     assert shift == pytest.approx(10.0, rel=0.1)
     verdict = judge(solution, extraction)
@@ -211,7 +211,7 @@ def test_a_constant_that_the_user_fixes_is_tested():
     # Exact without it, and patterns of which there are more or fewer without it: nothing to compare.
     every = replace(extraction, rig=replace(extraction.rig, prior_sigmas={"all": 0.0, "board_corners": 1e-5}))
     asked = solve(every, constraints=constraints_of([f"{name}=0.01"], [], [])).uncertainty.asked
-    assert set(asked) <= {"priors.board_corners"}
+    assert set(asked) <= {("priors.board_corners",)}
 
 
 @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ def test_a_constant_that_the_user_fixes_is_tested():
 )
 def test_a_value_of_the_user_fails_where_it_moves_the_result(asked, outcome):
     solution, extraction = drawn()
-    checks = judge(with_uncertainty(solution, asked={"--fix t_x": asked}), extraction).checks
+    checks = judge(with_uncertainty(solution, asked={("--fix t_x",): asked}), extraction).checks
     outcomes = [check.outcome for check in checks if check.id == "prior.t_x"]
     assert outcomes == [outcome] * (outcome is not None)
 

@@ -151,7 +151,7 @@ def test_more_stations_do_not_help_against_stated_values():
     free = replace(limited, constants={**solution.constants, **wide})
     for found, advice in (
         (limited, "Measure the geometry of the head"),
-        (free, "Leave out what frees joint_position"),
+        (free, "Leave out --estimate joint_position, or"),
     ):
         assert next_step_of(worst_error(found, {}), found, extraction).startswith(advice)
 
