@@ -20,6 +20,7 @@ from mobilecal_cli.likelihood.views import roots, summed
 from mobilecal_cli.model import EXACT, FloatArray, IntArray
 
 _FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
+_AS_NOTHING = 1e-6  # of the information of a stated prior: rounding may be so large
 _FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
 
 
@@ -216,7 +217,9 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     base_by_shared, base = YK @ Z[data.log] - Y, YK @ z[data.log] - y
     own_rest = own_by_base @ base - E_inverse @ (e[..., None] - E_board @ z[data.log])
     return NormalEquations(
-        S=_none_negative(S - summed(SKS, Z), (1 + damping) * diagonal),
+        S=_none_negative(
+            S - summed(SKS, Z), (1 + damping) * diagonal, _AS_NOTHING * lin.priors.stated_weight
+        ),
         s=h - summed(C, y)[:, 0] - summed(SKS, z)[:, 0],
         gain=gain + float(np.sum(sK * z)),
         rest=Step(np.zeros(P), -z[..., 0], base[..., 0], own_rest[..., 0]),
@@ -232,12 +235,16 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     )
 
 
-def _none_negative(S: FloatArray, before: FloatArray) -> FloatArray:
+def _none_negative(S: FloatArray, before: FloatArray, nothing: FloatArray) -> FloatArray:
     """Information (P, P) without what rounding made negative.
 
     With corners of a hundredth of a pixel, a direction that the images do not show is what the elimination leaves of
-    numbers that are 10^13 times as large. It has the information of its prior then. `before` is (P,) the diagonal
-    before the elimination.
+    numbers that are 10^13 times as large. It has the information of its prior then.
+
+    Args:
+        S: the information.
+        before: (P,) its diagonal before the elimination.
+        nothing: (P,) information about each parameter that makes no difference.
 
     Raises:
         LinAlgError: values that are too large, at a trial that is lost.
@@ -245,7 +252,7 @@ def _none_negative(S: FloatArray, before: FloatArray) -> FloatArray:
     scale = np.sqrt(np.where(before > 0, before, 1.0))
     scaled = S / np.outer(scale, scale)
     try:
-        np.linalg.cholesky(scaled)
+        np.linalg.cholesky(scaled + np.diag(nothing / scale**2))
         return S
     except np.linalg.LinAlgError:
         values, vectors = np.linalg.eigh(scaled)

@@ -219,10 +219,11 @@ def test_rounding_makes_no_information_negative():
     size = np.sqrt([1e13, 1e10, 1e6, 1.0])
     S = np.outer(size, size) * (rotation @ np.diag([1.0, 0.5, 0.1, -1e-7]) @ rotation.T)
     before = size**2
-    kept = _none_negative(S, before) / np.outer(size, size)
+    kept = _none_negative(S, before, np.zeros(4)) / np.outer(size, size)
     expected = rotation @ np.diag([1.0, 0.5, 0.1, 0.0]) @ rotation.T
     assert np.abs(kept - expected).max() < 1e-14
-    assert _none_negative(np.diag(before), before).tolist() == np.diag(before).tolist()
+    assert _none_negative(np.diag(before), before, np.zeros(4)).tolist() == np.diag(before).tolist()
+    assert _none_negative(S, before, 1e-6 * before) is S  # priors that say so much more
 
 
 def test_back_substitution_solves_the_dense_equations(case):
