@@ -51,8 +51,8 @@ class Constraints:
 
     @property
     def given(self) -> tuple[str, ...]:
-        """Each constraint as its option and name, for messages."""
-        return tuple(f"{flag} {name}" for flag, names in self._by_flag() for name in names)
+        """Each constraint as its option and name, or group, for messages."""
+        return tuple(f"{flag} {name}" for flag, names in self._by_flag() for name in _in_groups(flag, names))
 
     def _by_flag(self) -> tuple[tuple[str, Iterable[str]], ...]:
         return (("--fix", self.fixed), ("--prior", self.priors), ("--estimate", self.constants))
@@ -103,23 +103,33 @@ class Constraints:
         """Check that a recording shows the constants: otherwise, their values would be ignored.
 
         Args:
-            shown: names of the constants that have an effect on the measurements.
+            shown: names and kinds of the parameters and constants that have an effect on the measurements.
 
         Raises:
-            ConfigError: a constant has none, and is not fixed at its stated value.
+            ConfigError: a constant, or a kind or group of them, has none, and is not fixed at its stated value.
         """
         as_stated = {name for name, value in self.fixed.items() if not value}
         unused = [
             f"{flag} {name}"
             for flag, names in self._by_flag()
-            for name in names
-            if name not in shown and name not in _KINDS and name not in as_stated
+            for name in _in_groups(flag, names)
+            if not {*_OPTIONS[flag][1].get(name, (name,))} & {*shown, *as_stated}
         ]
         if unused:
             raise ConfigError(
                 f"{', '.join(unused)}: no effect on the measurements of this recording",
-                "leave it out; clock offsets need images in motion, and backlash a joint that turns both ways",
+                "leave it out; stereo constants need two cameras, those of the head and backlash joints that turn, and "
+                "clock offsets images in motion",
             )
+
+
+def _in_groups(flag: str, names: Iterable[str]) -> list[str]:
+    """Names, with a group in place of all its members."""
+    left = list(names)
+    for group, members in _OPTIONS[flag][1].items():
+        if {*members} <= {*left}:
+            left = [*(name for name in left if name not in members), group]
+    return left
 
 
 def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:

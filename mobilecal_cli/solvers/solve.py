@@ -112,7 +112,8 @@ def solve(
     try:
         if method == "ml":
             inference = Inference.of(extraction, constraints, on_step)
-            constraints.check_shown(inference.data.layout.names)
+            layout = inference.data.layout
+            constraints.check_shown({*layout.names, *(row.kind for row in layout.constants)})
             solution = _by_likelihood(extraction, inference, search)
         else:
             solution = _by_points(extraction, method)
@@ -122,7 +123,7 @@ def solve(
             if not asked:
                 raise
             # What the user asks for may be the cause.
-            hint = f"leave out {', '.join(asked)}, or correct the value; or {error.hint}"
+            hint = f"leave out or correct {', '.join(asked)}; or {error.hint}"
             raise SolveError(error.message, hint) from error.__cause__
         raise refusal or SolveError(
             "the measurements do not determine all parameters",

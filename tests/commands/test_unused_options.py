@@ -64,13 +64,26 @@ def test_only_one_of_two_would_count(fix, prior, estimate):
 
 @pytest.mark.parametrize(
     ("option", "value"),
-    [("--fix", "time_joints=0.1"), ("--prior", "time_joints=0.1±0.01"), ("--estimate", "time_joints")],
+    [
+        ("--fix", "time_joints=0.1"),
+        ("--prior", "time_joints=0.1±0.01"),
+        ("--estimate", "time_joints"),
+        ("--estimate", "clock"),
+    ],
 )
 def test_the_recording_does_not_show_it(extraction, tmp_path, option, value):
     """The robot rests at every station, so that its clocks have no effect."""
     done = run("calibrate", extraction, option, value, cwd=tmp_path)
     assert (done.code, done.left) == (2, [])
-    assert f"{option} time_joints: no effect on the measurements of this recording" in done.err
+    name = value.partition("=")[0]
+    assert f"{option} {name}: no effect on the measurements of this recording" in done.err
+
+
+def test_a_group_that_the_robot_lacks():
+    constraints = constraints_of([], [], ["stereo", "lenses"])
+    with pytest.raises(ConfigError, match=r"^--estimate stereo: no effect"):
+        constraints.check_shown(["focal_length"])
+    assert constraints.given == ("--estimate stereo", "--estimate lenses")
 
 
 def test_a_constant_without_effect_may_be_fixed_as_stated():
