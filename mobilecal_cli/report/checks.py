@@ -252,12 +252,19 @@ def scale(case: Case, metric: Metric) -> Iterator[Check]:
     off = 100 * (wheels / stated.vector - 1)[: len(sizes)]
     least = int(np.argmin(np.abs(off)))
     common = float(off[least]) if abs(np.sign(off).sum()) == len(off) else 0.0
+    why = (
+        f"{which} at least {abs(common):.1f} % {'larger' if common > 0 else 'smaller'} than the nominal ones."
+    )
+    other = "the nominal wheels"
+    if rig.sources.assumed_odometry is not None:
+        why = f"The odometry's distances are at least {abs(common):.1f} % too {'short' if common > 0 else 'long'}."
+        other = "the sizes of the wheels in the odometry's driver"
     std_m = math.sqrt(case.solution.uncertainty.covariance[6 + least, 6 + least])
     by_chance = 100 * CONTRADICTION_SIGMAS * std_m / float(stated.vector[least])
     limit = 5.0
     cure = (
         f"Measure ten squares with a ruler: with one camera, the size of the squares ({square_m} m) gives the scale. "
-        "If it is as stated, correct the nominal wheels."
+        f"If it is as stated, correct {other}."
     )
     if case.extraction.measured:
         cure = "Check the scale of the measured poses: it is that of the wheels."
@@ -268,9 +275,7 @@ def scale(case: Case, metric: Metric) -> Iterator[Check]:
         if not one_factor or rig.sources.assumed_odometry is not None:
             return
     yield metric.check(
-        common, limit, "common factor of all sizes of the wheels", cure,
-        why=f"{which} at least {abs(common):.1f} % "
-        f"{'larger' if common > 0 else 'smaller'} than the nominal ones.",
+        common, limit, "common factor of all sizes of the wheels", cure, why=why,
         passes=abs(common) <= max(limit, by_chance),
     )  # fmt: skip
 

@@ -103,13 +103,18 @@ class Metric:
     """A figure that a gate can limit, by a lower limit if `at_least`.
 
     The name is for `--gate`, in `metrics` of report.json, and the id of the criterion that judges it. The unit is ""
-    for counts and ratios. If the name ends in a unit, the value has this unit. `section` is that of its checks.
+    or "1" for counts and ratios. If the name ends in a unit, the value has this unit. `section` is that of its checks.
     """
 
     name: str
     unit: str = ""
     at_least: bool = False
     section: str = "checks"
+
+    @property
+    def after(self) -> str:
+        """The unit with a space before it, after a number; "" for none."""
+        return f" {self.unit}" if self.unit not in ("", "1") else ""
 
     def check(
         self,
@@ -135,13 +140,12 @@ class Metric:
             passes: whether it is within its limit, where that is no comparison of two numbers.
             beyond: outcome if it is not; by default "not_enough" for a lower limit and "fail" for an upper one.
         """
-        unit = f" {self.unit}" if self.unit else ""
         if passes is None:
             bound = 0.0 if limit is None else limit
             passes = value is not None and (value >= bound if self.at_least else abs(value) <= bound)
-        measured = measured or ("unknown" if value is None else f"{value:.3g}{unit}")
+        measured = measured or ("unknown" if value is None else f"{value:.3g}{self.after}")
         if limit is not None:
-            at_limit = at_limit or f"at {'least' if self.at_least else 'most'} {limit:.4g}{unit}"
+            at_limit = at_limit or f"at {'least' if self.at_least else 'most'} {limit:.4g}{self.after}"
         why = why or f"{capitalized(name)}: {measured}. Limit: {at_limit}."
         return Check(
             id=f"{self.name}.{part}" if part else self.name,

@@ -201,12 +201,15 @@ def gate_checks(
         if name in _USE_GATES and value is not None:
             continue
         metric, measured = metrics[name], "unknown" if value is None else _rounded(value, limit)
+        otherwise = "Record again, or change the limit."
+        if value is None:
+            otherwise = "Leave out this gate: such a recording, robot or method does not have this figure."
         check = replace(metric, name=f"{GATE}{name}", section="checks").check(
             value,
             limit,
             f"gate {name}",
-            cure(name, limit) or "Record again, or change the limit.",
-            measured=f"{measured} {metric.unit}".rstrip(),
+            cure(name, limit) or otherwise,
+            measured=f"{measured}{metric.after}",
             beyond="fail",
         )
         yield check if check.met else replace(check, why=f"{name} = {measured} ({check.limit_text}).")

@@ -1,6 +1,7 @@
 """Robots with four wheels and with odometry alone, and one camera, from the recording to the exports."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -149,6 +150,16 @@ def test_other_assumed_wheels_have_the_same_drift():
     assert mapped(robot) == pytest.approx(mapped(other))
     for name in FACTORS[3:]:
         assert robot.factors[name] == pytest.approx(other.factors[name])
+
+
+def test_wrong_squares_are_told_from_odometry_that_is_wrong(made, tmp_path):
+    again = load_rig(None, SQUARE | {"board.square_m": 0.072})
+    report = calibrate([made["rgbd_odometry"][0]], tmp_path / "out", config=again)
+    assert re.fullmatch(
+        r"The odometry's distances are at least (9|10)\.\d % too long\.", report.verdict.reason
+    )
+    assert "Measure ten squares" in report.verdict.next_step
+    assert "in the odometry's driver" in report.verdict.next_step
 
 
 @pytest.mark.long

@@ -100,6 +100,13 @@ def test_each_side_of_a_limit():
     assert [check.outcome for check in checks] == ["pass", "fail", "fail", "pass", "fail"]
     assert checks[1].why == "legs = 2 (at least 3)."
     assert "unknown (at most 100 deg)" in checks[4].why
+    assert checks[4].next_step.startswith("Leave out this gate")
+    assert checks[2].next_step == "Record again, or change the limit."
+
+
+def test_a_ratio_has_no_unit():
+    checks = gate_checks({"std.odometry.linear_scale": 0.01}, {"std.odometry.linear_scale": 0.02})
+    assert [check.why for check in checks] == ["std.odometry.linear_scale = 0.02 (at most 0.01)."]
 
 
 def test_the_default_method_gives_figures_that_others_do_not(extraction, report):
