@@ -27,7 +27,7 @@ _WORTH, _FADES_AT = 2.0, 4.0
 # chance that falls as these powers of 1 / s.
 _AS_STATED, _TOO_NARROW, _ALL_TOO_NARROW = 0.95, 1.0, 1.5
 # What the data show of a kind's constants by less than the first is not used; and the largest factor.
-_SHOWN, _WIDEST = 0.01, 1e3
+_SHOWN, _WIDEST = 1e-3, 1e3
 _LOG_FACTORS = np.linspace(0.0, math.log(_WIDEST), 500)  # that are compared
 _EXACT = 1e-12  # variance over the prior's of a constant that the data show completely
 # How far a level may move in a round (as a logarithm): times what its own residuals say and so much more, up to this.

@@ -46,6 +46,20 @@ def test_wider_only_if_the_measurements_show_so():
     assert factor < 1.2
 
 
+@pytest.mark.parametrize(("off_m", "seed"), [(0.05, 4), (-0.05, 0)])
+def test_a_joint_at_another_place_is_no_noise_of_the_floor(off_m, seed):
+    """The images show its place to 15 mm alone, 16 prior sigmas: PASS at ten stated sigmas, on a floor of 2 mm."""
+    case = imperfect.Case(stations=24, noise=imperfect.USUAL).drawn(fixed={"tilt_position_x": off_m})
+    extraction = case.extraction(seed)
+    solution = solve(extraction)
+    true = imperfect.true_robot(imperfect.ROBOTS[case.robot](), extraction, case.route(seed))
+    run = imperfect.judged(solution, extraction, true)
+    assert run.level == "FAIL"
+    assert np.abs(run.error / run.std).max() < 3.5
+    assert solution.uncertainty.noise.floor_m < 0.001
+    assert max(solution.contradictions, key=lambda each: each.sigmas).kind == "joint_position"
+
+
 def test_the_search_does_not_amplify_rounding():
     """Correlation lengths moved in steps of a grid: 1e-14 of the joint readings moved a parameter by 0.05 sigma."""
     extraction = drawn("paper's robot, N = 12").extraction(10)
