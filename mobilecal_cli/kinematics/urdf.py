@@ -138,8 +138,9 @@ def _numbers(
     except ValueError:
         values = np.zeros(0)
     if values.shape != (count,) or not np.all(np.isfinite(values)):
+        xacro = ": expand xacro files first" if "$" in text else ""
         raise ConfigError(
-            f"URDF: {where}: expected {count} finite number(s), got {text!r}", "correct the URDF"
+            f"URDF: {where}: expected {count} finite number(s), got {text!r}", f"correct the URDF{xacro}"
         )
     return values
 

@@ -54,8 +54,8 @@ class RobotDescription:
         image_frames: image topic → frame_id of its first message.
         joint_names: joint-state topic → names in its first messages, each once.
         urdfs: topic → URDF text.
-        transforms: (parent frame, child frame) → (n, 4, 4) samples over the recording, m; read only without a
-            URDF.
+        transforms: (parent frame, child frame) → (n, 4, 4) samples over the recording, m; with a URDF, of static
+            transforms only.
         odometry_frames: odometry topic → frames of its first message, parent and child.
         numbers: numbers in other messages that may be the readings of wheels or head joints; read only where joint
             states lack them.

@@ -47,8 +47,8 @@ def read_description(recording: Recording) -> RobotDescription:
 
     Each topic is read separately and only as far as needed (one message; 50 joint states). Blocks without the
     topic are skipped, so a huge file is not read to its end. An SQLite file is scanned to the topic's first (50th)
-    message. More than 16 topics of a type are read in one pass. If no topic contains a URDF, transforms are sampled
-    over the recording.
+    message. More than 16 topics of a type are read in one pass. If no topic contains a URDF, all transforms are sampled
+    over the recording, otherwise those of frames that do not move.
 
     Raises:
         RecordingError: the recording is empty.
@@ -61,7 +61,12 @@ def read_description(recording: Recording) -> RobotDescription:
     images = [topic for kind in IMAGES for topic in names[kind]]
     described = [topic for topic in names[STRING] if "robot_description" in topic]
     texts = _first(recording, described, lambda message: str(message.data))
-    urdfs = {topic: text for topic, text in texts.items() if text.strip()}
+    # A semantic description (SRDF) has joints and no links.
+    urdfs = {
+        t: text
+        for t, text in texts.items()
+        if text.strip() and not ("<robot" in text and "<link" not in text)
+    }
     infos, unusable = _infos(recording, names[CAMERA_INFO])
     image_frames = _first(recording, images, lambda message: str(message.header.frame_id))
     joints = _read(
@@ -77,11 +82,11 @@ def read_description(recording: Recording) -> RobotDescription:
         lambda message: (str(message.header.frame_id), str(message.child_frame_id)),
     )
     transforms: dict[tuple[str, str], FloatArray] = {}
-    if not urdfs:
-        try:
-            transforms = transforms_of(recording, names[TRANSFORMS])
-        except RecordingError as error:  # the configuration may not need them
-            recording.note(error.message)
+    try:
+        told = [topic for topic in names[TRANSFORMS] if not urdfs or topic.endswith("static")]
+        transforms = transforms_of(recording, told)
+    except RecordingError as error:  # the configuration may not need them
+        recording.note(error.message)
     return RobotDescription(
         topics=recording.topics,
         infos=infos,

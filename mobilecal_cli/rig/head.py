@@ -30,7 +30,15 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.ranges import POSITION
 from mobilecal_cli.rig.config import ChainLink, RigConfig
-from mobilecal_cli.rig.names import HEAD_WORDS, PAN_WORDS, TILT_WORDS, joint_state_names, require_topic, words
+from mobilecal_cli.rig.names import (
+    HEAD_WORDS,
+    PAN_WORDS,
+    TILT_WORDS,
+    is_wheel,
+    joint_state_names,
+    require_topic,
+    words,
+)
 from mobilecal_cli.rig.wheels import WheelJoints, as_drawn, nominal_wheels, side_centres, urdf_wheels
 
 #: A base link that is nearer to the place and the heading of the vehicle frame is this frame: rounding in a URDF.
@@ -79,7 +87,8 @@ def head_of(
         pan, tilt = pan_and_tilt(
             config, dict.fromkeys(link.joint for link in config.head.chain if link.joint)
         )
-        base, head = config.head.base_frame or "base_link", config.head.head_frame or "head_link"
+        base = config.head.base_frame or "base_link"
+        head = config.head.head_frame or ("head_link" if config.head.chain else base)
         chain = HeadChain(base, head, tuple(_chain_link(link) for link in config.head.chain), pan, tilt)
         _check_configured(config, chain)
         return Head(chain, None, Nominal(), wheels, "head.chain of the configuration", ())
@@ -98,12 +107,17 @@ def head_of(
             origin = f"URDF on {topic}"
             if len(set(description.urdfs.values())) > 1:
                 notes.append(f"The recording contains several URDFs. The one on {topic} is used.")
-        urdf = parse_urdf(urdf_text)
-        pan, tilt = pan_and_tilt(config, [name for name in urdf.joints if name in read])
+        urdf = _with_transforms(parse_urdf(urdf_text), description.transforms)
+        base = _base_of(config, urdf, camera_frame)
+        way = _moving_to(urdf, base, camera_frame)
+        on_way = way is not None
+        offered = (
+            [joint.name for joint in urdf.joints.values()] if way is None else [joint.name for joint in way]
+        )
+        pan, tilt = pan_and_tilt(config, [name for name in offered if name in read], on_way)
         if not tilt and config.head.head_frame is None:
             # Joint states may lack some of the head's joints; the URDF still names them.
-            pan, tilt = pan_and_tilt(config, list(urdf.joints))
-        base = _base_of(config, urdf)
+            pan, tilt = pan_and_tilt(config, offered, on_way)
     head = _head_link_of(config, urdf, base, pan, tilt, camera_frame, read)
     wheel_joints = urdf_wheels(urdf, wheels)
     wheels = as_drawn(wheels, wheel_joints, config, urdf, base)
@@ -113,7 +127,7 @@ def head_of(
     notes += [
         f"Joint {joint.name} moves the camera, but {CHAIN_ENDS} before it, at {head}. "
         f"Set head.head_frame to {joint.child}."
-        for joint in _moving_to(urdf, head, camera_frame, tilt) or ()
+        for joint in _moving_to(urdf, head, camera_frame) or ()
         if joint.name in read
     ]
     # A joint found by name may be fixed, or that of an arm.
@@ -140,7 +154,7 @@ def _moving_transforms(
             "set head.urdf or head.chain in rig.yaml (a camera on the base: chain: []); mobilecal init LOG --urdf FILE "
             "drafts it",
         )
-    base = _base_of(config, urdf)
+    base = _base_of(config, urdf, camera_frame)
     moving = [joint.name for joint in urdf.path(base, camera_frame) if joint.kind == "revolute"]
     pan, tilt = pan_and_tilt(config, moving)
     if not tilt and moving:  # no frame is named tilt: the last moving joint is the tilt
@@ -156,9 +170,26 @@ def _chain_link(link: ChainLink) -> FixedLink | JointLink:
     return FixedLink(se3.transform(rotation, np.array(link.xyz_m or (0, 0, 0))))
 
 
-def _base_of(config: RigConfig, urdf: Urdf) -> str:
-    usual = (name for name in ("base_link", "base_footprint") if name in urdf.links)
-    return config.head.base_frame or next(usual, urdf.root)
+def _base_of(config: RigConfig, urdf: Urdf, camera_frame: str) -> str:
+    """The base link, as configured or by its name, also with a prefix; one with camera and wheels, if any.
+
+    Without such a name, it is what moves freely in the world under the camera, or the root.
+    """
+    if config.head.base_frame:
+        return config.head.base_frame
+    usual = ("base_link", "base_footprint")
+    named = [link for name in usual for link in urdf.links if link.split("/")[-1] == name]
+    if named:
+        wheels = (joint.child for joint in urdf.joints.values() if is_wheel(joint.name))
+        tips = [tip for tip in (camera_frame, *wheels) if tip in urdf.links]
+        carry = (link for link in named if all(_moving_to(urdf, link, tip) is not None for tip in tips))
+        return next(carry, named[0])
+    above, link = {joint.child: joint for joint in urdf.joints.values()}, camera_frame
+    for _ in above:
+        if link not in above or above[link].kind == "floating":
+            break
+        link = above[link].parent
+    return link if link in above else urdf.root
 
 
 def _head_link_of(
@@ -185,7 +216,9 @@ def _head_link_of(
                 "leave it out, or set the last link that a joint moves (the base link for a camera on the base)",
             )
         return config.head.head_frame
-    way = _moving_to(urdf, base, camera_frame, tilt)
+    way = _moving_to(urdf, base, camera_frame)
+    if way is None and tilt not in urdf.joints and camera_frame in urdf.links:
+        urdf.path(base, camera_frame)  # raises
     if way is not None:
         names = [joint.name for joint in way]
         known = names.index(tilt) + 1 if tilt in names else len(names)
@@ -206,19 +239,14 @@ def _head_link_of(
     return _named_head(urdf, urdf.joints[tilt].child)
 
 
-def _moving_to(urdf: Urdf, base: str, camera_frame: str, tilt: str) -> list[UrdfJoint] | None:
-    """Joints that move the camera against the base; None if it is not in the URDF.
-
-    Also None if the URDF does not connect them, but has the tilt joint; without one, see `Urdf.path`.
-    """
+def _moving_to(urdf: Urdf, base: str, camera_frame: str) -> list[UrdfJoint] | None:
+    """Joints that move the camera against the base; None if the URDF does not connect it with the base."""
     if camera_frame not in urdf.links:
         return None
     try:
         return [joint for joint in urdf.path(base, camera_frame) if joint.kind != "fixed"]
     except ConfigError:
-        if tilt in urdf.joints:
-            return None
-        raise
+        return None
 
 
 def _named_head(urdf: Urdf, carried: str) -> str:
@@ -282,6 +310,16 @@ def urdf_of_transforms(transforms: Mapping[tuple[str, str], FloatArray]) -> Urdf
     return Urdf("transforms", joints, {})
 
 
+def _with_transforms(urdf: Urdf, transforms: Mapping[tuple[str, str], FloatArray]) -> Urdf:
+    """A URDF with the fixed transforms to frames that it lacks: a camera's driver publishes its own frames."""
+    fixed = {
+        f"fixed transform to {name}": joint
+        for name, joint in urdf_of_transforms(transforms).joints.items()
+        if joint.kind == "fixed" and name not in urdf.links
+    }
+    return replace(urdf, joints={**urdf.joints, **fixed})
+
+
 def _joint(parent: str, child: str, T: FloatArray) -> UrdfJoint:
     moved = se3.inverse(T[0]) @ T
     turn, way = se3.log_so3(moved[:, :3, :3]), moved[:, :3, 3]
@@ -298,25 +336,30 @@ def _joint(parent: str, child: str, T: FloatArray) -> UrdfJoint:
     return UrdfJoint(child, kind if other and off < limit else "floating", parent, child, T[0], axis, None)
 
 
-def named_joint(role: str, kinds: set[str], names: Iterable[str]) -> str:
-    """The joint named pan (or tilt), preferably also named head; "" if there is none."""
+def named_joint(role: str, kinds: set[str], names: Iterable[str], on_way: bool) -> str:
+    """The joint named pan (or tilt), preferably also named head; "" if there is none.
+
+    Of several that move the camera, `on_way` to it, it is the last.
+    """
     of_kind = [name for name in names if kinds & set(words(name))]
     best = [name for name in of_kind if HEAD_WORDS & set(words(name))] or of_kind
-    if len(best) > 1:
+    if len(best) > 1 and not on_way:
         raise ConfigError(
             f"several joints could be the {role} joint: {listed(best)}", f"set joints.{role} in rig.yaml"
         )
-    return best[0] if best else ""
+    return best[-1] if best else ""
 
 
-def pan_and_tilt(config: RigConfig, names: Collection[str]) -> tuple[str, str]:
-    """Names of the pan and tilt joint, as configured or found by name.
+def pan_and_tilt(config: RigConfig, names: Collection[str], on_way: bool = False) -> tuple[str, str]:
+    """Names of the pan and tilt joint, as configured or found by name; see `named_joint`.
 
     Raises:
         ConfigError: several joints match.
     """
-    pan = config.joints.pan or named_joint("pan", PAN_WORDS, names)
-    tilt = config.joints.tilt or named_joint("tilt", TILT_WORDS, [name for name in names if name != pan])
+    pan = config.joints.pan or named_joint("pan", PAN_WORDS, names, on_way)
+    tilt = config.joints.tilt or named_joint(
+        "tilt", TILT_WORDS, [name for name in names if name != pan], on_way
+    )
     if pan and pan == tilt:
         raise ConfigError(f"joints.pan and joints.tilt are both {pan!r}", "set them to different joints")
     return pan, tilt

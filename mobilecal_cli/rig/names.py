@@ -143,7 +143,7 @@ _CORNERS: dict[str, tuple[Side, str]] = {
 #: Wheels that no motor drives, and joints that are no wheels.
 _NOT_DRIVEN = {
     "caster", "castor", "casters", "castors", "passive", "swivel", "idler", "arm", "gripper", "finger", "steer",
-    "steering", "suspension", "rocker", "bogie", "flywheel",
+    "steering", "suspension", "rocker", "bogie", "flywheel", "drop",
 }  # fmt: skip
 
 

@@ -277,8 +277,8 @@ def as_drawn(
 ) -> dict[Side, WheelSource]:
     """Sources with the wheels of the URDF that are not read, and those of odometry with its separation.
 
-    The driver of odometry reads all wheels. Of counters, which no joint names, any of the joints are read. The
-    separation of assumed wheels is that of the URDF, unless the configuration states it.
+    The driver of odometry reads all wheels. Of counters, and of joints that have other names in the URDF, any of its
+    joints are read. The separation of assumed wheels is that of the URDF, unless the configuration states it.
     """
     drawn = None if config.wheels.odometry_separation_m else wheel_distance_m(urdf, joints, base)
     read = {part.joint for source in sources.values() for part in source.every}
@@ -286,7 +286,7 @@ def as_drawn(
     for side, source in sources.items():
         if source.baked_in is None:
             others = [name for name in joints.get(side, ()) if name not in read]
-            counted = 0 if source.joint else len(source.every)
+            counted = 0 if source.joint in urdf.joints else len(source.every)
             source = replace(source, unread=tuple(others[counted:]) or source.unread)
         elif source.assumed and drawn is not None and drawn in ranges.WHEEL_SEPARATION:
             wheels = replace(source.baked_in, separation_m=drawn)

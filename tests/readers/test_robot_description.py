@@ -47,6 +47,7 @@ def test_binning_and_region_as_image_geometry(store):
         ("equidistant", [0.1] * 4, "equidistant", 4),
         ("fisheye", [0.1] * 4, "equidistant", 4),
         ("Kannala_Brandt4", [0, 0, 0, 0], "equidistant", 4),
+        ("equidistant", [0.1, 0.1, 0.1, 0.1, 0], "equidistant", 4),
     ],
 )
 def test_distortion_models(name, D, model, count):
@@ -117,6 +118,14 @@ def test_many_topics_are_read_in_one_pass(tmp_path, monkeypatch):
     assert names == {f"/robot{n}/joint_states": (f"a{n}", "b0", "b1", "b2") for n in range(40)}
     assert len(loads) == blocks
     assert Counted.passes < 20
+
+
+def test_a_semantic_description_is_no_urdf(tmp_path):
+    semantic = "<robot name='r'><group name='arm'><joint name='pan'/></group></robot>"
+    texts = {"/a/robot_description": r.URDF, "/robot_description_semantic": semantic}
+    items = [r.Item(topic, r.START_NS, r.number("String", text)) for topic, text in texts.items()]
+    with open_recording([r.write_mcap(tmp_path / "log.mcap", items)]) as recording:
+        assert read_description(recording).urdfs == {"/a/robot_description": r.URDF}
 
 
 def test_joint_names_of_drivers_that_take_turns(tmp_path):

@@ -508,6 +508,12 @@ def test_hints_list_ten_topics_at_most():
     assert "more" in told.value.hint
 
 
+def test_a_wheel_that_drops_is_no_wheel():
+    names = {"/joint_states": (*JOINTS, "wheel_drop_left_joint", "wheel_drop_right_joint")}
+    rig, _ = resolve_rig(RigConfig(), description(joint_names=names))
+    assert rig.sources.wheels["left"].joint == "wheel_left_joint"
+
+
 def test_names():
     assert words("/leftCamera/image_raw") == ["left", "camera", "image", "raw"]
     assert side_of("/stereo/left/image") == "left"
@@ -757,6 +763,66 @@ def test_joints_out_of_transforms():
     assert (found.chain.pan, found.chain.tilt) == ("neck", "skull")
     assert found.chain.joints == ("torso", "neck", "skull")
     assert found.chain.head_frame == "skull"
+
+
+@pytest.mark.parametrize("base", ["robot1/base_link", "chassis"])
+def test_the_base_of_transforms_has_a_prefix_or_moves_freely(base):
+    angles = np.linspace(-0.4, 0.6, 20)
+    transforms = {
+        ("odom", base): np.stack([se3.exp(np.array([0, 0, a, a, 2 * a, 0])) for a in angles]),
+        (base, "neck"): moving((0, 0, 1), angles),
+        ("neck", "skull"): moving((0, -1, 0), angles**2),
+        ("skull", "stereo_left_optical"): moving((0, 0, 1), np.zeros(20)),
+    }
+    rig, _ = resolve_rig(RigConfig(), description(urdf=None, extra=(TF,), transforms=transforms))
+    assert (rig.chain.base_frame, rig.chain.joints) == (base, ("neck", "skull"))
+
+
+def test_a_camera_driver_publishes_the_frames_that_the_urdf_lacks():
+    urdf = AT_BASE.replace("</robot>", joint_of("mount", "tilt", "stereo_link") + "</robot>")
+    frames = {
+        ("stereo_link", "stereo_left_optical"): moving((0, 0, 1), np.zeros(2)),
+        ("elsewhere", "pan"): moving((0, 0, 1), np.zeros(2)),
+    }
+    rig, _ = resolve_rig(RigConfig(), description(urdf=urdf, transforms=frames))
+    assert rig.nominal.T_h_reference[:3, 3] == pytest.approx([0.1, 0.2, 0.3])
+    assert rig.chain.joints == ("head_pan_joint", "head_tilt_joint")
+
+
+def joint_of(name, parent, child, kind="fixed"):
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/></joint>'
+
+
+def test_joints_on_the_way_to_the_camera_are_those_of_the_head():
+    """Two joints tilt the camera, and one an arm."""
+    more = joint_of("face_tilt", "tilt", "face", "revolute") + joint_of("eye", "face", "stereo_left_optical")
+    urdf = AT_BASE.replace("</robot>", more + joint_of("hand_tilt", "arm", "hand", "revolute") + "</robot>")
+    names = {"/joint_states": (*JOINTS, "face_tilt", "hand_tilt")}
+    rig, _ = resolve_rig(RigConfig(), description(urdf=urdf, joint_names=names))
+    assert rig.chain.joints == ("head_pan_joint", "head_tilt_joint", "face_tilt")
+    assert (rig.chain.tilt, rig.chain.head_frame) == ("head_tilt_joint", "face")
+
+
+def test_the_base_carries_the_wheels():
+    """They and base_link hang from base_footprint."""
+    wheels = AT_BASE.replace(
+        '<parent link="base_link"/><child link="w', '<parent link="base_footprint"/><child link="w'
+    )
+    urdf = wheels.replace("</robot>", joint_of("lift", "base_footprint", "base_link") + "</robot>")
+    rig, _ = resolve_rig(RigConfig(), description(urdf=urdf))
+    assert (rig.chain.base_frame, rig.nominal.wheels.separation_m) == ("base_footprint", 0.5)
+
+
+def test_wheels_that_the_urdf_names_otherwise_are_no_further_ones():
+    names = {"/joint_states": ("left_wheel", "right_wheel", "head_pan_joint", "head_tilt_joint")}
+    rig, _ = resolve_rig(RigConfig(), description(joint_names=names))
+    assert not rig.sources.several_wheels
+    assert rig.nominal.wheels.separation_m == 0.5
+
+
+def test_a_camera_on_the_base_is_in_its_frame():
+    rig, _ = resolve_rig(config(head={"chain": [], "base_frame": "chassis"}), description(urdf=None))
+    assert (rig.chain.base_frame, rig.chain.head_frame) == ("chassis", "chassis")
 
 
 def test_transforms_that_do_not_lead_to_the_camera_are_said():

@@ -158,6 +158,8 @@ def _distortion(message: Decoded, topic: str) -> tuple[Distortion, FloatArray]:
         model = "rational_polynomial"
     if model == "none":
         return model, np.zeros(0)
+    most = _LENGTHS[model][-1]
+    D = D if D[most:].any() else D[:most]  # zeros that drivers add
     length = next((n for n in _LENGTHS[model] if n >= D.size), None)
     if length is None or (model == "equidistant" and D.size != length):
         raise RecordingError(
