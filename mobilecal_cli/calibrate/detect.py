@@ -21,12 +21,12 @@ from mobilecal_cli.errors import ObservationError, RecordingError
 from mobilecal_cli.model import (
     DEPTH_IMAGE,
     Board,
-    CameraInfo,
     CameraRig,
     GrayImage,
     PictureIndex,
     Rejection,
     Rig,
+    Signals,
     Station,
 )
 from mobilecal_cli.model.text import listed
@@ -107,14 +107,14 @@ class Segment:
 
 def plan_recording(
     recording: Recording, rig: Rig, everything: bool = False
-) -> tuple[tuple[Plan, ...], Mapping[str, CameraInfo], tuple[str, ...]]:
+) -> tuple[tuple[Plan, ...], Signals, tuple[str, ...]]:
     """Choose the stations of a recording by one pass over joints, wheels and times of images.
 
     `everything` as for `plan_stations`.
 
     Returns:
-        The stations of each log (one, or one for each piece between steps of the recording's clocks), its
-        `Signals.infos`, and notes on irregularities.
+        The stations of each log (one, or one for each piece between steps of the recording's clocks), the signals of
+        the first, and notes on irregularities.
 
     Raises:
         RecordingError: see `read_signals` and `plan_stations`.
@@ -122,7 +122,7 @@ def plan_recording(
     logs = read_signals(recording, rig.sources)
     plans, notes = plan_stations(logs, rig.chain, everything)
     every_note = itertools.chain(*(signals.notes for signals in logs), notes)
-    return plans, logs[0].infos, tuple(dict.fromkeys(every_note))
+    return plans, logs[0], tuple(dict.fromkeys(every_note))
 
 
 def check_picture(picture: GrayImage, name: str, cameras: CameraRig) -> None:

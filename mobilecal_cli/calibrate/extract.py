@@ -174,10 +174,11 @@ def _extracted(
     survey = describe(recording, config, earlier=earlier[0].description if earlier else None)
     rig = complete_rig(survey)
     everything = config.stations == "all"
-    plans, infos, plan_notes = plan_recording(recording, rig, everything)
-    if infos:
-        description = survey.description
-        survey = survey_rig(config, replace(description, infos={**description.infos, **infos}))
+    plans, signals, plan_notes = plan_recording(recording, rig, everything)
+    if signals.infos or signals.ahead_m:
+        infos = {**survey.description.infos, **signals.infos}
+        description = replace(survey.description, infos=infos, odometry_ahead_m=signals.ahead_m)
+        survey = survey_rig(config, description)
         rig = complete_rig(survey)
     if earlier:
         _refuse_other_robot(earlier[0], name, rig)

@@ -57,6 +57,7 @@ class RobotDescription:
         transforms: (parent frame, child frame) → (n, 4, 4) samples over the recording, m; with a URDF, of static
             transforms only.
         odometry_frames: odometry topic → frames of its first message, parent and child.
+        odometry_ahead_m: `Signals.ahead_m`, once these are read.
         numbers: numbers in other messages that may be the readings of wheels or head joints; read only where joint
             states lack them.
     """
@@ -69,6 +70,7 @@ class RobotDescription:
     transforms: Mapping[tuple[str, str], FloatArray] = field(default_factory=dict)
     unusable: Mapping[str, RecordingError] = field(default_factory=dict)
     odometry_frames: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    odometry_ahead_m: float = 0.0
     numbers: tuple[NumberField, ...] = ()
 
 

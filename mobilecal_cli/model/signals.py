@@ -140,6 +140,7 @@ class Signals:
         recorded_ns: name of each camera → times of all its images, also of those that are not in `images` because
             another calibration applied, sorted.
         other_images: image topic of no camera → (n,) times of its images.
+        ahead_m: how far the base frame of the odometry is ahead of the axle, if wheels are read from it.
     """
 
     joints: Mapping[str, Track]
@@ -149,6 +150,7 @@ class Signals:
     recorded_ns: Mapping[str, IntArray]
     infos: Mapping[str, CameraInfo] = field(default_factory=dict)
     other_images: Mapping[str, IntArray] = field(default_factory=dict)
+    ahead_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -121,7 +121,7 @@ def head_of(
     head = _head_link_of(config, urdf, base, pan, tilt, camera_frame, read)
     wheel_joints = urdf_wheels(urdf, wheels)
     wheels = as_drawn(wheels, wheel_joints, config, urdf, base)
-    offset, offset_notes = _vehicle_offset(urdf, wheel_joints, wheels, base)
+    offset, offset_notes = _vehicle_offset(urdf, wheel_joints, wheels, base, description)
     chain = HeadChain(base, head, (*offset, *chain_links(urdf, base, head)))
     _check_configured(config, chain)
     notes += [
@@ -256,14 +256,33 @@ def _named_head(urdf: Urdf, carried: str) -> str:
 
 
 def _vehicle_offset(
-    urdf: Urdf, joints: WheelJoints, sources: Mapping[Side, WheelSource], base: str
+    urdf: Urdf,
+    joints: WheelJoints,
+    sources: Mapping[Side, WheelSource],
+    base: str,
+    description: RobotDescription,
 ) -> tuple[list[FixedLink], list[str]]:
     """The link from the vehicle frame v to the base link, none if they are the same, and notes on it.
 
     The vehicle frame lies midway between the wheels, with x perpendicular to the axle. If the URDF's base link
-    differs, the offset is computed from the origins of the wheel joints.
+    differs, the offset is computed from the origins of the wheel joints. Without these, it is as odometry shows it.
     """
-    links, notes = [], []
+    links, notes, ahead_m = [], [], description.odometry_ahead_m
+    topic, odometry = next(
+        ((each.topic, each.baked_in is not None) for each in sources.values()), ("", False)
+    )
+    if not joints and ahead_m:
+        frame = description.odometry_frames.get(topic, ("", base))[1]
+        T_frame_base = fixed_pose(urdf, frame, base)
+        T_v_frame = se3.transform(np.eye(3), np.array([ahead_m, 0.0, 0.0]))
+        links.append(FixedLink(T_v_frame if T_frame_base is None else T_v_frame @ T_frame_base))
+        notes.append(
+            "The URDF names no wheels. The vehicle frame is placed on the axle about which the odometry turns."
+        )
+    elif not joints and not odometry:
+        notes.append(
+            f"The URDF names no wheels: {base} is taken as midway between them, with its x axis ahead."
+        )
     if joints:
         unread = [name for source in sources.values() for name in source.unread or ()]
         if unread:

@@ -10,6 +10,7 @@ from ruamel.yaml import YAML
 
 from mobilecal_cli.calibrate.evaluate import evaluate
 from mobilecal_cli.calibrate.export import export
+from mobilecal_cli.calibrate.extract import extract
 from mobilecal_cli.calibrate.load import read_params
 from mobilecal_cli.calibrate.steps import calibrate
 from mobilecal_cli.comparison import difference
@@ -150,6 +151,19 @@ def test_other_assumed_wheels_have_the_same_drift():
     assert mapped(robot) == pytest.approx(mapped(other))
     for name in FACTORS[3:]:
         assert robot.factors[name] == pytest.approx(other.factors[name])
+
+
+def test_the_axle_is_where_the_odometry_turns(made, tmp_path, monkeypatch):
+    """A URDF without wheels, and a base frame 50 mm behind the axle."""
+    urdf = re.sub(
+        r'<joint name="[^"]*wheel.*?</joint>', "", urdf_text(ROBOTS["rgbd_odometry"]), flags=re.DOTALL
+    )
+    (tmp_path / "robot.urdf").write_text(urdf)
+    config = load_rig(None, SQUARE | {"head.urdf": str(tmp_path / "robot.urdf")})
+    monkeypatch.setattr("mobilecal_cli.readers.signals.wheels.check_forward", lambda *_: -0.05)
+    extraction, _ = extract([made["rgbd_odometry"][0]], config)
+    assert extraction.rig.chain.links[0].T_parent_child[:3, 3] == pytest.approx([-0.05, 0, 0])
+    assert any("is 50 mm behind the axle" in note for note in extraction.notes)
 
 
 def test_wrong_squares_are_told_from_odometry_that_is_wrong(made, tmp_path):

@@ -813,6 +813,23 @@ def test_the_base_carries_the_wheels():
     assert (rig.chain.base_frame, rig.nominal.wheels.separation_m) == ("base_footprint", 0.5)
 
 
+def test_odometry_shows_where_the_axle_is_if_the_urdf_does_not():
+    """The camera was 50 mm off in the base's frame, with a PASS."""
+    bare = re.sub('<joint name="wheel.*?</joint>', "", AT_BASE)
+    odometry = {
+        "extra": [TopicInfo("/odom", "nav_msgs/msg/Odometry", 9)],
+        "joint_names": HEAD_ONLY,
+        "odometry_frames": {"/odom": ("odom", "base_link")},
+    }
+    for urdf, ahead_m, x_m in ((bare, 0.0, 0.0), (bare, -0.05, -0.05), (AT_BASE, -0.05, 0.0)):
+        log = description(urdf=urdf, odometry_ahead_m=ahead_m, **odometry)
+        rig, notes = resolve_rig(RigConfig(), log)
+        assert head_pose(rig.chain, np.zeros(2))[:3, 3] == pytest.approx([x_m, 0, 1])
+        assert any("placed on the axle" in note for note in notes) == bool(x_m)
+    _, notes = resolve_rig(RigConfig(), description(urdf=bare))
+    assert any("base_link is taken as midway between them" in note for note in notes)
+
+
 def test_wheels_that_the_urdf_names_otherwise_are_no_further_ones():
     names = {"/joint_states": ("left_wheel", "right_wheel", "head_pan_joint", "head_tilt_joint")}
     rig, _ = resolve_rig(RigConfig(), description(joint_names=names))

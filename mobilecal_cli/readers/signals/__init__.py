@@ -36,7 +36,7 @@ from mobilecal_cli.readers.signals.series import (
 )
 from mobilecal_cli.readers.signals.sides import sides_of
 from mobilecal_cli.readers.signals.sources import FieldSource, Images, Source, Subscriptions
-from mobilecal_cli.readers.signals.wheels import add_wheel, gap_notes
+from mobilecal_cli.readers.signals.wheels import OdometryWheel, add_wheel, gap_notes
 
 
 def _joint(name: str, where: JointSource) -> Source:
@@ -138,7 +138,11 @@ def read_signals(recording: Recording, sources: Sources, extent: Extent = EVERYT
         lags_ns = [index.log_ns - index.time_ns for index in indices.values()]
         lag_ns = int(np.median(np.concatenate(lags_ns))) if lags_ns else 0
         unused = {topic: logged[topic] - lag_ns for topic in sorted(of_none & logged.keys())}
-        return Signals(tracks, wheels, indices, tuple(own_notes), recorded_ns, corrected, unused)
+        of_odometry = (
+            wheel for each in turning.values() for wheel in each if isinstance(wheel, OdometryWheel)
+        )
+        ahead_m = next((wheel.ahead_m for wheel in of_odometry), 0.0)
+        return Signals(tracks, wheels, indices, tuple(own_notes), recorded_ns, corrected, unused, ahead_m)
 
     logs, problems = usable([dict(zip(sources_used, piece, strict=True)) for piece in pieces], signals_of)
     notes += (

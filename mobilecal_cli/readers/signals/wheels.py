@@ -310,11 +310,15 @@ class OdometryWheel(Source):
 
     Args:
         wheels: with which the driver computed its poses, as the source states.
+
+    Attributes:
+        ahead_m: see `check_forward`.
     """
 
     def __init__(self, side: Side, source: WheelSource, wheels: WheelGeometry) -> None:
         super().__init__(source.topic, f"pose on {source.topic}", width=3)
         self._side, self._source, self._wheels = side, source, wheels
+        self.ahead_m = 0.0
 
     def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         position, turned = message.pose.pose.position, message.pose.pose.orientation
@@ -325,7 +329,14 @@ class OdometryWheel(Source):
         wheels = self._wheels
         time_ns, pose = samples.ordered(notes)
         check_speed(samples.topic, time_ns, pose)
-        notes += check_forward(samples.topic, time_ns, pose)
+        self.ahead_m = check_forward(samples.topic, time_ns, pose)
+        if self.ahead_m:
+            where = (
+                f"{abs(self.ahead_m) * 1e3:.0f} mm {'ahead of' if self.ahead_m > 0 else 'behind'} the axle"
+            )
+            notes.append(
+                f"{samples.topic}: the base frame of the odometry is {where}, about which the base turns"
+            )
         notes += turns_at_rest(samples.topic, time_ns, pose)
         right, left, jumps = rotations(time_ns, pose, wheels)
         if self._source.assumed:
@@ -344,7 +355,7 @@ class OdometryWheel(Source):
         return without_jumps(f"{self._side} wheel of the {samples.label}", track, notes, jumps)
 
 
-def check_forward(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
+def check_forward(topic: str, time_ns: IntArray, pose: FloatArray) -> float:
     """Check that odometry moves ahead and turns, as a differential drive does.
 
     Args:
@@ -353,7 +364,7 @@ def check_forward(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
         pose: (n, 3) x, y, heading.
 
     Returns:
-        A note on where the axle is, if it is not at the base frame.
+        How far the base frame is ahead of the axle, m; 0 if it is near.
 
     Raises:
         RecordingError: it moves sideways; the message says whether its poses jump, or a sign is wrong.
@@ -392,12 +403,7 @@ def check_forward(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
             "mecanum and other omnidirectional robots are not supported; name the odometry of the wheels, if this is "
             "another one",
         )
-    if abs(offset_m) < _OFFSET_M:
-        return []
-    return [
-        f"{topic}: the base frame of the odometry is {offset_m * 1e3:.0f} mm ahead of the axle, about which the base "
-        "turns; camera poses are given against the axle"
-    ]
+    return offset_m if abs(offset_m) >= _OFFSET_M else 0.0
 
 
 def turns_at_rest(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
