@@ -61,7 +61,15 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
             stated = np.linalg.inv(precision + np.diag(1 - 1 / factors**2))
             std = np.sqrt(np.maximum(std**2 - np.sum(across @ (own - stated) * across, axis=1), 0.0))
             own, m = stated, stated @ precision @ m
-        chi2, dof, value, wide = _without_prior(m, own, tight)
+        if (
+            kind in FAMILIES and len(columns) > 1
+        ):  # what all of them share is no contradiction, as in `noise.widths`
+            along = np.linalg.svd(1 / prior[None], full_matrices=True)[2][1:]
+            apart = along @ m
+            chi2, dof, value, _ = _without_prior(apart, along @ own @ along.T, np.sqrt(along**2 @ tight**2))
+            value, wide = m + along.T @ (value - apart), np.full(len(m), np.inf)
+        else:
+            chi2, dof, value, wide = _without_prior(m, own, tight)
         names = [layout.names[k] for k in columns]
         estimates = {
             name: EvidenceValue(float(v * s), float(d * s) if math.isfinite(d) else None, float(s))

@@ -384,14 +384,18 @@ def jump(case: Case, metric: Metric) -> Iterator[Check]:
 
 @criterion(Metric("contradiction", "sigma", section="description"), gated=False)
 def contradiction(case: Case, metric: Metric) -> Iterator[Check]:
-    """The stated values that the data contradict; those that the result depends on fail, and times beside them."""
+    """The stated values that the data contradict; those that the result depends on fail, and times beside them.
+
+    If any fails, so does the strongest, which comes first: one that contradicts less may be an alternative to it.
+    """
     solution = case.solution
     some_fail = any(evidence.shift_sigmas > MATERIAL_SIGMAS for evidence in solution.contradictions)
     widths = solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
-    for evidence in solution.contradictions:
+    for number, evidence in enumerate(solution.contradictions):
         what, cure = contradiction_sentences(evidence, solution, case.extraction)
         wider = widths.get(family(evidence.kind), 1.0)
-        is_cause = evidence.late_camera or (some_fail and kind_of(evidence.kind).unit == "s")
+        is_cause = evidence.late_camera or (some_fail and (number == 0 or kind_of(evidence.kind).unit == "s"))
+        of_others = is_cause and len(solution.contradictions) > 1
         yield metric.check(
             evidence.sigmas, CONTRADICTION_SIGMAS,
             f"robot description: {visible(evidence.part)}, {kind_of(evidence.kind).meaning}", cure,
@@ -399,7 +403,7 @@ def contradiction(case: Case, metric: Metric) -> Iterator[Check]:
             measured=f"{evidence.sigmas:.1f} sigma from the stated values",
             why=f"{what} It changes the result by up to {evidence.shift_sigmas:.1f} standard deviations."
             + (f" Priors of this kind are taken {std_text(wider)} times as wide." if wider > _SHOWN_WIDER else "")
-            + (" Other stated values that differ may follow from it." if is_cause else ""),
+            + (" Other stated values that differ may follow from it." if of_others else ""),
             passes=False,
             beyond="fail" if evidence.shift_sigmas > MATERIAL_SIGMAS or is_cause else "warning",
         )  # fmt: skip

@@ -266,7 +266,10 @@ class LevelSearch:
         step = np.where(rise == 0, 0.0, np.clip(-self._inverse @ rise, -farthest, farthest))
         levels = dict(zip(found, np.exp(at + step).tolist(), strict=True))
         within = {name: min(max(level, _LEAST[name]), _MOST[name]) for name, level in levels.items()}
-        return replace(noise.with_levels(within), wider=dict(wider))
+        # Half-way on the logarithms: of two kinds that explain the same, each looks too narrow while both are as they
+        # are stated, and neither while both are wide. Whole steps go to and fro without an end.
+        half = {name: math.sqrt(noise.wider.get(name, 1.0) * factor) for name, factor in wider.items()}
+        return replace(noise.with_levels(within), wider=half)
 
     def _updated(self, at: FloatArray, rise: FloatArray) -> FloatArray:
         """The inverse after what the last step showed; unchanged where it bent the wrong way."""

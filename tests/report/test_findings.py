@@ -53,6 +53,24 @@ def test_a_contradiction_fails_where_the_result_depends_on_it(shift, level):
     assert "Right camera" in verdict.reason + verdict.next_step
 
 
+def test_the_strongest_contradiction_is_named_if_any_fails():
+    solution, extraction = solved(("stereo_r_x", np.radians(1.0)))
+    (found,) = solution.contradictions
+    strongest, other = (
+        replace(found, shift_sigmas=1.0),
+        replace(found, kind="joint_zero", part="pan", sigmas=5.0),
+    )
+    verdict = judge(
+        replace(solution, contradictions=(strongest, replace(other, shift_sigmas=3.0))), extraction
+    )
+    assert verdict.level == "FAIL"
+    assert verdict.reason.startswith("Right camera")
+    verdict = judge(
+        replace(solution, contradictions=(strongest, replace(other, shift_sigmas=1.0))), extraction
+    )
+    assert verdict.level == "PASS"
+
+
 def test_squares_and_baseline_disagree_together():
     solution, extraction = solved(("square_scale", 0.02))
     verdict = judge(solution, extraction)
