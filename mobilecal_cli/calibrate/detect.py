@@ -16,6 +16,7 @@ from pathlib import Path
 import cv2
 
 from mobilecal_cli.calibrate import Progress, silent
+from mobilecal_cli.calibrate.gaps import clocks_noted
 from mobilecal_cli.calibrate.workers import FAILED, answer, processes, resources
 from mobilecal_cli.errors import ObservationError, RecordingError
 from mobilecal_cli.model import (
@@ -120,7 +121,8 @@ def plan_recording(
         RecordingError: see `read_signals` and `plan_stations`.
     """
     logs = read_signals(recording, rig.sources)
-    plans, notes = plan_stations(logs, rig.chain, everything)
+    with clocks_noted(logs[0].notes):
+        plans, notes = plan_stations(logs, rig.chain, everything)
     every_note = itertools.chain(*(signals.notes for signals in logs), notes)
     return plans, logs[0], tuple(dict.fromkeys(every_note))
 

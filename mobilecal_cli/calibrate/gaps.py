@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
-from mobilecal_cli.errors import ObservationError, SolveError, noting
+from mobilecal_cli.errors import MobilecalError, ObservationError, SolveError, noting
 from mobilecal_cli.kinematics import FEWEST_LEGS, unseen_height
-from mobilecal_cli.model import Extraction
+from mobilecal_cli.model import CLOCKS_DIFFER, Extraction
 from mobilecal_cli.report.motion import Gap, motion_gaps
 from mobilecal_cli.stations import NO_READINGS
 from mobilecal_cli.vision import AMBIGUOUS, OTHER_BOARDS, SECOND_BOARD, SQUARES_UNKNOWN, readable_words
@@ -84,3 +86,14 @@ def require_observable(extraction: Extraction) -> None:
             "; ".join(f"unobservable: {', '.join(g.parameters)}, because {g.because}" for g in gaps),
             "; ".join(g.cure for g in gaps),
         )
+
+
+@contextmanager
+def clocks_noted(notes: Iterable[str]) -> Iterator[None]:
+    """End the hint of an error with the note on clocks that differ, if there is one: they may be its cause."""
+    try:
+        yield
+    except MobilecalError as error:
+        clocks = (note for note in notes if note.startswith(CLOCKS_DIFFER) and note not in error.hint)
+        error.hint = noting(error.hint, clocks)
+        raise

@@ -30,7 +30,15 @@ from mobilecal_cli.model import (
     WheelTrack,
     sampled,
 )
-from mobilecal_cli.readers import Extent, Recording, join_splits, open_recording, read_signals, sha256_of
+from mobilecal_cli.readers import (
+    Extent,
+    Recording,
+    clocks_that_differ,
+    join_splits,
+    open_recording,
+    read_signals,
+    sha256_of,
+)
 from mobilecal_cli.report.checks import MIN_STATIONS
 from mobilecal_cli.report.inspection import Finding, Inspection, JointRange, MotionView, TopicView
 from mobilecal_cli.report.motion import Gap, gaps_between
@@ -99,6 +107,9 @@ def inspect(
             findings += [Finding.of("head chain", each, prevents=False) for each in wrong_chain(survey, rig)]
             findings += _without_priors(rig, config)
             findings += _without_height(rig)
+            for note in clocks_that_differ(recording, (*rig.sources.image.values(), *rig.sources.motion)):
+                cure = "correct the clock that is wrong, and record again; late messages alone do no harm"
+                findings.append(Finding.of("time", RecordingError(note, cure), prevents=False))
             covered = _covered(rig, times, findings)
             motion = _motion(recording, rig, times, findings, notes)
         if survey is not None and survey.sources.image:

@@ -16,7 +16,7 @@ import numpy as np
 from mobilecal_cli import __version__
 from mobilecal_cli.arguments import AnyPath, by_name, names_of, pair_of, path_of, paths_of, require
 from mobilecal_cli.calibrate import Progress, silent, source_date
-from mobilecal_cli.calibrate.gaps import require_observable, require_stations
+from mobilecal_cli.calibrate.gaps import clocks_noted, require_observable, require_stations
 from mobilecal_cli.calibrate.load import Data, differences, load, read_params
 from mobilecal_cli.errors import ConfigError, ObservationError, SolveError
 from mobilecal_cli.export.extraction import extraction_to_npz
@@ -212,28 +212,31 @@ def fitted(
     """
     constraints = constraints or Constraints()
     extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
-    require_stations(extraction)
-    steps = itertools.count(1)
-    progress("solving", 0, None)
-    try:
-        if method != "ml":
-            require_observable(extraction)
-        solution = solve_extraction(
-            extraction,
-            method,
-            constraints=constraints,
-            on_step=lambda: progress("solving", next(steps), None),
-        )
-    except SolveError as error:
-        gaps = motion_gaps(extraction, constraints.fixed) if method == "ml" else ()
-        told = () if error.explained else (CHAIN_ENDS, CHAIN_LACKS, FEW_READINGS, CLOCK_STEPS, CLOCK_SET)
-        notes = [note.removesuffix(".") for note in extraction.notes if any(part in note for part in told)]
-        cures = [*notes, *(gap.cure for gap in gaps)]
-        if not cures:
-            raise
-        message = "; ".join([error.message, *(gap.because for gap in gaps)])
-        others = [note for note in error.noted if note not in notes]
-        raise SolveError(message, f"{'; '.join(cures)}; or {error.cure}", noted=others) from error
+    with clocks_noted(extraction.notes):
+        require_stations(extraction)
+        steps = itertools.count(1)
+        progress("solving", 0, None)
+        try:
+            if method != "ml":
+                require_observable(extraction)
+            solution = solve_extraction(
+                extraction,
+                method,
+                constraints=constraints,
+                on_step=lambda: progress("solving", next(steps), None),
+            )
+        except SolveError as error:
+            gaps = motion_gaps(extraction, constraints.fixed) if method == "ml" else ()
+            told = () if error.explained else (CHAIN_ENDS, CHAIN_LACKS, FEW_READINGS, CLOCK_STEPS, CLOCK_SET)
+            notes = [
+                note.removesuffix(".") for note in extraction.notes if any(part in note for part in told)
+            ]
+            cures = [*notes, *(gap.cure for gap in gaps)]
+            if not cures:
+                raise
+            message = "; ".join([error.message, *(gap.because for gap in gaps)])
+            others = [note for note in error.noted if note not in notes]
+            raise SolveError(message, f"{'; '.join(cures)}; or {error.cure}", noted=others) from error
     trial = None
     if rest is not None:
         nominal, offsets = extraction.rig.nominal.wheels, clock_offsets(solution)

@@ -72,6 +72,7 @@ from mobilecal_cli.model.robot_description import (
 from mobilecal_cli.model.signals import (
     CLOCK_SET,
     CLOCK_STEPS,
+    CLOCKS_DIFFER,
     DEPTH_IMAGE,
     FEW_READINGS,
     NO_IMAGES,

@@ -123,6 +123,8 @@ FEW_READINGS = "too few readings per second"
 CLOCK_STEPS = "the clock steps back by up to"
 #: End of a note on topics that may have a clock of their own.
 CLOCK_SET = "their clock was set forward, or the other drivers stopped"
+#: Beginning of a note on topics whose stamps differ from the log times by different amounts.
+CLOCKS_DIFFER = "clocks differ, or messages come late"
 #: In a note on odometry.
 TURNS_AT_REST = "the heading changes while the robot stands still"
 

@@ -6,7 +6,7 @@ import pytest
 from mobilecal_cli.calibrate.gaps import require_observable, require_stations
 from mobilecal_cli.calibrate.steps import fitted, held_out
 from mobilecal_cli.errors import ObservationError, SolveError
-from mobilecal_cli.model import NINE, Nominal, Rejection, WheelTrack
+from mobilecal_cli.model import CLOCKS_DIFFER, NINE, Nominal, Rejection, WheelTrack
 from mobilecal_cli.report.motion import motion_gaps
 from mobilecal_cli.vision import AMBIGUOUS, SQUARES_UNKNOWN
 from tests.extractions import Noise, joined, simulated
@@ -15,6 +15,15 @@ from tests.extractions import Noise, joined, simulated
 @cache
 def extraction(motion, noise=None):
     return simulated(motion, noise, seed=0)
+
+
+def test_clocks_that_differ_may_be_the_cause():
+    """The board moved at every stop, as an image showed the next one: "keep it at rest, in good light"."""
+    notes = (f"{CLOCKS_DIFFER}: the stamps of /image are 1.2 s after the log time", "Something else.")
+    for own, said in ((notes[1:], ("", "")), (notes, ("; noted: ", notes[0]))):
+        with pytest.raises(ObservationError) as raised:
+            fitted(replace(extraction("standard"), observations=(), notes=own))
+        assert raised.value.hint.partition("; noted: ")[1:] == said
 
 
 @pytest.mark.parametrize("motion", ["standard", "large_turns", "moving"])

@@ -9,8 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import Sources, WheelSource
-from mobilecal_cli.readers import open_recording, read_signals
+from mobilecal_cli.model import CLOCKS_DIFFER, Sources, WheelSource
+from mobilecal_cli.readers import clocks_that_differ, open_recording, read_signals
 from mobilecal_cli.readers.signals.series import in_order
 from mobilecal_cli.readers.signals.wheels import FieldWheel
 
@@ -106,12 +106,21 @@ def test_zero_stamps_fall_back_to_log_time_and_another_clock_is_noted(tmp_path):
     rows = [(0.1 * k, at(0.1 * k) - 100 * S, NAMES, [k, k, k]) for k in range(5)]
     signals = joints_read(tmp_path, rows)
     differ = (
-        "clocks differ: the stamps of /j are 100.000 s before the log time, those of /l 0.000 s before it"
+        f"{CLOCKS_DIFFER}: the stamps of /j are 100.000 s before the log time, those of /l 0.000 s before it"
     )
     assert differ in signals.notes
     rows = [(0.1 * k, at(0.1 * k) + 5 * S, NAMES, [k, k, k]) for k in range(5)]
-    differ = "clocks differ: the stamps of /l are 0.000 s before the log time, those of /j 5.000 s after it"
+    differ = (
+        f"{CLOCKS_DIFFER}: the stamps of /l are 0.000 s before the log time, those of /j 5.000 s after it"
+    )
     assert differ in joints_read(tmp_path, rows).notes
+
+
+@pytest.mark.parametrize(("ahead_s", "count"), [(0.2, 0), (0.5, 1), (-0.5, 1)])
+def test_stamps_half_a_second_apart_are_noted(tmp_path, ahead_s, count):
+    items = [*images(stamp=lambda s: at(s + ahead_s)), *joints(steady())]
+    with open_recording([r.write_mcap(tmp_path / "log.mcap", items)]) as recording:
+        assert len(clocks_that_differ(recording, ("/l", "/r", "/j"))) == count
 
 
 def test_clock_that_steps_back_is_reported_with_numbers(tmp_path):
@@ -498,7 +507,7 @@ def test_a_joint_that_is_published_once_stands_still(tmp_path, topic):
     assert pan.time_ns[0] <= min(index.time_ns[0] for index in signals.images.values())
     assert pan.time_ns[-1] >= max(index.time_ns[-1] for index in signals.images.values())
     assert f"joint pan on {topic}: one reading only; the joint counts as standing still" in signals.notes
-    assert not any("clocks differ" in note for note in signals.notes)
+    assert not any(CLOCKS_DIFFER in note for note in signals.notes)
 
 
 def test_a_wheel_without_any_reading_is_left_out_of_its_side(tmp_path):
@@ -539,4 +548,4 @@ def test_a_clock_that_steps_early_is_not_another_clock(tmp_path):
     with open_recording([r.write_mcap(tmp_path / "log.mcap", items)]) as recording:
         first, *_ = read_signals(recording, SOURCES)
     assert any("steps forward by 5.000 s" in note for note in first.notes)
-    assert not any("clocks differ" in note for note in first.notes)
+    assert not any(CLOCKS_DIFFER in note for note in first.notes)

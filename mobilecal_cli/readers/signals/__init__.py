@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError, usable
 from mobilecal_cli.model import (
     CAMERA_INFO,
+    CLOCKS_DIFFER,
     IMAGES,
     SIDES,
     IntArray,
@@ -23,9 +25,12 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
+from mobilecal_cli.readers.messages import NOT_ITS_TYPE, header_stamp_ns
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
 from mobilecal_cli.readers.signals.joints import StatedJoint, TransformJoint
 from mobilecal_cli.readers.signals.series import (
+    LAGS,
+    Clock,
     Samples,
     clock_notes,
     cut,
@@ -45,6 +50,16 @@ def _joint(name: str, where: JointSource) -> Source:
     if isinstance(where, JointField):
         return FieldSource(where.topic, where.field, f"joint {name}", "joints.fields", where.scale)
     return TransformJoint(name, where)
+
+
+def clocks_that_differ(recording: Recording, topics: Iterable[str]) -> list[str]:
+    """A note on topics with stamps from different clocks, from the first messages of each, if there are any."""
+    clocks = [Clock(topic) for topic in topics]
+    for clock in clocks:
+        for channel, log_ns, payload in itertools.islice(recording.messages([clock.topic]), LAGS):
+            with suppress(RecordingError, *NOT_ITS_TYPE):
+                clock.count(header_stamp_ns(channel.decode(payload)), log_ns)
+    return [note for note in clock_notes(clocks) if note.startswith(CLOCKS_DIFFER)]
 
 
 def read_signals(recording: Recording, sources: Sources, extent: Extent = EVERYTHING) -> tuple[Signals, ...]:

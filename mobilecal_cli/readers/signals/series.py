@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import CLOCK_SET, CLOCK_STEPS, BoolArray, FloatArray, IntArray, Track
+from mobilecal_cli.model import CLOCK_SET, CLOCK_STEPS, CLOCKS_DIFFER, BoolArray, FloatArray, IntArray, Track
 from mobilecal_cli.readers.containers.storage import LEAST_BACK_NS, LEAST_STEP_NS, steps_of
 
 
@@ -243,8 +243,10 @@ def _catching_up(time_s: FloatArray, value: FloatArray, fresh: IntArray) -> tupl
 
 
 _NS = 1_000_000_000
+#: Lags of two topics that differ by more are noted, s: images that are compressed may be recorded so late.
+_CLOCKS_APART_S = 0.3
 #: Lags stored per topic: of its first messages, before a clock steps.
-_LAGS = 11
+LAGS = 11
 
 
 @dataclass(slots=True)
@@ -272,7 +274,7 @@ class Clock:
         self.has_header = stamp_ns is not None
         if not stamp_ns:
             self.unstamped += 1
-        elif len(self.lag_s) < _LAGS:
+        elif len(self.lag_s) < LAGS:
             self.lag_s.append((log_ns - stamp_ns) * 1e-9)
 
     def notes(self) -> list[str]:
@@ -294,13 +296,13 @@ def clock_notes(clocks: Collection[Clock]) -> list[str]:
     lags = {clock.topic: float(np.median(clock.lag_s or [0.0])) for clock in clocks if clock.messages > 1}
     if len(lags) > 1:
         low, high = min(lags, key=lags.__getitem__), max(lags, key=lags.__getitem__)
-        if lags[high] - lags[low] > LEAST_STEP_NS / _NS:
+        if lags[high] - lags[low] > _CLOCKS_APART_S:
             first, other = (
                 f"{abs(lags[topic]):.3f} s {'before' if lags[topic] >= 0 else 'after'}"
                 for topic in (high, low)
             )
             notes.append(
-                f"clocks differ: the stamps of {high} are {first} the log time, those of {low} {other} it"
+                f"{CLOCKS_DIFFER}: the stamps of {high} are {first} the log time, those of {low} {other} it"
             )
     notes += (
         f"{clock.topic}: {clock.broken} of {clock.broken + clock.messages} messages do not match their type; ignored"
