@@ -781,7 +781,10 @@ def square_size(case: Case, metric: Metric) -> Iterator[Check]:
     )  # fmt: skip
 
 
-_PLAY = ("joint readings", "the head joints for play, and the head chain in the URDF")
+_PLAY = (
+    "joint readings",
+    "the head joints for play, the head chain in the URDF, and that the board does not swing",
+)
 _HEIGHT = Metric("noise.height", "mm", section="limits")
 _FLOOR = Metric("noise.floor", "degrees", section="limits")
 #: Noise level → the largest usual level, the limit, its name, and what to check.

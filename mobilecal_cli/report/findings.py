@@ -86,7 +86,10 @@ _KINDS = {
 ERROR_PARTS = {
     "corners": ("corners", "Calibrate the stereo pair again, and check that the board is flat."),
     "poses": ("poses", "Check how the poses are measured: their noise is larger than all else."),
-    "joints": ("joint readings", "Check the head joints for play, and the head chain in the URDF."),
+    "joints": (
+        "joint readings",
+        "Check the head joints for play, the head chain in the URDF, and that the board does not swing.",
+    ),
     "floor": ("the uneven floor", "Record on a flat floor, and check that the base does not rock."),
     "wheels": (
         "wheels", "Check the wheels for slip, and the board for a move, on the leg with the largest error.",

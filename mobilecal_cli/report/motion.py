@@ -92,7 +92,9 @@ def missing_motion(motion: Mapping[str, float], names: Sequence[str], chain: Hea
     cures, turns = [extent.cure for extent in small.values()], "turned_deg" in small
     if set(names) & set(NINE[6:]) and not turns and "driven_m" not in small:
         driven, turned = (MOTION[key].text(motion[key]) for key in ("driven_m", "turned_deg"))
-        too_little.append(f"the base drove {driven} and turned by {turned}, almost always in one proportion")
+        too_little.append(
+            f"the base drove {driven} and turned by {turned}, too nearly in one proportion for this noise"
+        )
         cures.append("turn in place at some stops, and drive straight between others")
         turns = True
     shows_head = "tilt_range_deg" if unseen_height(chain) is None else "turned_deg"
