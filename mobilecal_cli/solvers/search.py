@@ -7,6 +7,7 @@ without the worst legs. A cause is named only if the corrected readings fit as r
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,6 +17,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import undistorted
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS
+from mobilecal_cli.likelihood.constants import kind_of
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import (
     Camera,
@@ -68,7 +70,7 @@ _ALIKE_SIZES = 0.2  # nominal sizes are a few percent off, each by itself
 _SAME_UNIT_M = 0.05  # from a radius of 1 m: far more than its uncertainty, and no other unit is so near
 # A focal length is another one if the images show it so many standard deviations and by such a factor away: the
 # likelihood estimates what is nearer, and names it. The distortion changes with the focal length: some rounds converge.
-_FOCAL_SIGMAS, _FOCAL_FACTOR, _FOCAL_ROUNDS = 10.0, 1.25, 5
+_FOCAL_SIGMAS, _FOCAL_FACTOR, _FOCAL_ROUNDS = 5.0, 1.25, 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -478,8 +480,11 @@ def other_focal_lengths(extraction: Extraction) -> Diagnosis | None:
         return None
     for number, (name, camera) in enumerate(zip(cameras.names, cameras.each, strict=True)):
         views = [o.views[number] for o in extraction.observations]
-        whole = [view.pixels for view in views if view.seen.all()]
-        factor, sigma = _focal_factor(camera, np.array(whole), extraction.board.grid().reshape(-1, 3)[:, :2])
+        whole = np.array([view.pixels for view in views if view.seen.all()])
+        grid = extraction.board.grid().reshape(-1, 3)[:, :2]
+        factor, sigma = _focal_factor(camera, whole, grid)
+        others = (_focal_factor(changed, whole, shape)[0] for changed, shape in _a_sigma_off(camera, grid))
+        sigma = math.hypot(sigma, *(other / factor - 1 for other in others))
         away = max(factor, 1 / factor)
         if away > _FOCAL_FACTOR and away - 1 > _FOCAL_SIGMAS * sigma * away:
             return Diagnosis(
@@ -488,6 +493,22 @@ def other_focal_lengths(extraction: Extraction) -> Diagnosis | None:
                 "record the camera_info of these images, or calibrate the camera with them",
             )
     return None
+
+
+def _a_sigma_off(camera: Camera, grid: FloatArray) -> Iterator[tuple[Camera, FloatArray]]:
+    """A camera and a board (M, 2) that differ by a prior sigma from the stated ones, in what all images have in common.
+
+    Where all show the board alike, as with a camera on the base, that counts more than their scatter.
+    """
+    point, aspect, shear = (
+        kind_of(name).sigma for name in ("principal_point", "square_aspect", "board_shear")
+    )
+    for axis in range(2):
+        K = camera.K.copy()
+        K[axis, 2] += point * camera.width
+        yield replace(camera, K=K), grid
+    yield camera, grid * [1 + aspect, 1.0]
+    yield camera, grid @ np.array([[1.0, 0.0], [shear, 1.0]])
 
 
 def _focal_factor(camera: Camera, pixels: FloatArray, grid: FloatArray) -> tuple[float, float]:

@@ -17,6 +17,7 @@ from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.hypotheses import FREE, FROZEN, STILL, WHOLE, _free_wheels, _noise_at_rest
 from mobilecal_cli.solvers.readings import readings_of
 from mobilecal_cli.solvers.search import Search, _two_boards, other_focal_lengths
+from tests.bench import imperfect
 from tests.extractions import Noise, joined, simulated
 from tests.hostile import meaning
 from tests.hostile.meaning import (
@@ -82,6 +83,12 @@ def test_focal_lengths_that_the_likelihood_estimates_are_not_named(factor, named
     diagnosis = other_focal_lengths(meaning.focal(factor, factor)(meaning.recorded()))
     assert (diagnosis is not None) == named
     assert not named or f"focal lengths of about {1 / factor:.2g} times those in" in diagnosis.cause
+
+
+def test_boards_that_are_seen_alike_hardly_show_the_focal_length():
+    """A pair on the base, all constants within their priors: "focal lengths of about 1.3 times those in camera_info"."""
+    case = imperfect.Case("pair on the base", motion="moving", images=80, noise=imperfect.USUAL)
+    assert other_focal_lengths(case.drawn(outside=imperfect.AS_PRINTED).extraction(0)) is None
 
 
 def both_late(seconds):
