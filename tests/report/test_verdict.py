@@ -526,6 +526,14 @@ def test_a_camera_of_a_pair_that_hardly_shows_the_board_is_not_enough(solution, 
     assert {check.outcome for check in verdict.checks} == {"pass"}
 
 
+@pytest.mark.parametrize(("offset_s", "compared"), [(0.01, True), (-0.15, False)])
+def test_the_linear_solution_knows_no_clock_that_is_late(offset_s, compared):
+    solution, extraction = drawn()
+    clock = EstimatedConstant("time_joints", "clock", "joints", "joint clock", offset_s, 0.001, 0.2)
+    late = replace(with_far_linear(solution), constants={"time_joints": clock})
+    assert any(check.id == "methods" for check in judge(late, extraction).checks) == compared
+
+
 def test_stated_values_that_are_ignored_are_the_cause_where_the_motion_is_enough():
     solution, extraction = drawn()
     hidden = np.array([False] + [True] * 8)
