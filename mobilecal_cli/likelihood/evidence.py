@@ -61,9 +61,8 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
             stated = np.linalg.inv(precision + np.diag(1 - 1 / factors**2))
             std = np.sqrt(np.maximum(std**2 - np.sum(across @ (own - stated) * across, axis=1), 0.0))
             own, m = stated, stated @ precision @ m
-        if (
-            kind in FAMILIES and len(columns) > 1
-        ):  # what all of them share is no contradiction, as in `noise.widths`
+        if kind in FAMILIES and len(columns) > 1:
+            # What all of them share is no contradiction, as in `noise.widths`.
             along = np.linalg.svd(1 / prior[None], full_matrices=True)[2][1:]
             apart = along @ m
             chi2, dof, value, _ = _without_prior(apart, along @ own @ along.T, np.sqrt(along**2 @ tight**2))

@@ -61,12 +61,9 @@ def read_description(recording: Recording) -> RobotDescription:
     images = [topic for kind in IMAGES for topic in names[kind]]
     described = [topic for topic in names[STRING] if "robot_description" in topic]
     texts = _first(recording, described, lambda message: str(message.data))
-    # A semantic description (SRDF) has joints and no links.
-    urdfs = {
-        t: text
-        for t, text in texts.items()
-        if text.strip() and not ("<robot" in text and "<link" not in text)
-    }
+    # A semantic description (SRDF) is of a robot without links.
+    semantic = {topic for topic, text in texts.items() if "<robot" in text and "<link" not in text}
+    urdfs = {topic: text for topic, text in texts.items() if text.strip() and topic not in semantic}
     infos, unusable = _infos(recording, names[CAMERA_INFO])
     image_frames = _first(recording, images, lambda message: str(message.header.frame_id))
     joints = _read(

@@ -111,9 +111,7 @@ def head_of(
         base = _base_of(config, urdf, camera_frame)
         way = _moving_to(urdf, base, camera_frame)
         on_way = way is not None
-        offered = (
-            [joint.name for joint in urdf.joints.values()] if way is None else [joint.name for joint in way]
-        )
+        offered = [joint.name for joint in (urdf.joints.values() if way is None else way)]
         pan, tilt = pan_and_tilt(config, [name for name in offered if name in read], on_way)
         if not tilt and config.head.head_frame is None:
             # Joint states may lack some of the head's joints; the URDF still names them.
