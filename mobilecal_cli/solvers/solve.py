@@ -72,6 +72,7 @@ _LENS_SIGMAS = 3.0
 # It is searched for before the estimate where the point error of the linear method is more than the first share of the
 # distance; no robust estimate helps where that of most stations is more than the second.
 _GROSS_SHARE, _HOPELESS_SHARE = 0.1, 0.2
+_MOST_OF_WHEEL = 0.5  # of its radius: no tire changes by so much
 
 
 def solve(
@@ -395,10 +396,16 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
 def _diagnosis(solution: Solution, extraction: Extraction, search: Search) -> Diagnosis | None:
     """The mistake in the description or in the readings in spite of which there is a solution.
 
-    A jump that explains the misfit leaves no other mistake of a part of the readings to be searched for. Where the part
-    that changed is not known, a reading may have stopped.
+    A jump that explains the misfit leaves no other mistake of a part of the readings to be searched for, unless a wheel
+    changes by more than any does. Where the part that changed is not known, a reading may have stopped.
     """
-    parts = [jump.part for jump in solution.jumps if jump.shift_sigmas >= MATERIAL_SIGMAS]
+    largest_m = _MOST_OF_WHEEL * solution.parameters.wheels.vector[:2].min()
+    parts = [
+        jump.part
+        for jump in solution.jumps
+        if jump.shift_sigmas >= MATERIAL_SIGMAS
+        and not ("wheel" in jump.part and abs(jump.move_m) > largest_m)
+    ]
     if "" in parts and not extraction.motions and search.interrupted is not None:
         return search.interrupted
     if not extraction.motions and _fits_badly(solution, extraction):
