@@ -169,69 +169,78 @@ def _extracted(
 ) -> list[ExtractedLog]:
     """The data of one recording: one log, or one for each piece between steps of its clocks."""
     progress("reading", 0, None)
-    name = str(recording.paths[0])
-    board = earlier[-1].board if earlier else config.board.stated
     survey = describe(recording, config, earlier=earlier[0].description if earlier else None)
     rig = complete_rig(survey)
-    everything = config.stations == "all"
-    plans, signals, plan_notes = plan_recording(recording, rig, everything)
+    plans, signals, plan_notes = plan_recording(recording, rig, config.stations == "all")
     if signals.infos or signals.ahead_m:
         infos = {**survey.description.infos, **signals.infos}
         description = replace(survey.description, infos=infos, odometry_ahead_m=signals.ahead_m)
         survey = survey_rig(config, description)
         rig = complete_rig(survey)
     with clocks_noted(plan_notes):
-        if earlier:
-            _refuse_other_robot(earlier[0], name, rig)
-        for log in earlier:
-            for plan in plans:
-                if same_signals((log.plan.wheels, log.plan.joints), (plan.wheels, plan.joints)):
-                    refuse_same(log.name, name, "wheel and joint readings")
-        if board is None:
-            progress("finding the board's size", 0, None)
-            size = board_size(recording, rig, plans)
-            if size is None:
-                raise ObservationError(
-                    f"no checkerboard found in the images of {sum(len(plan.stations) for plan in plans)} stations",
-                    f"keep the whole board in {rig.cameras.images_words}, in good light, with {readable_words(None)}, "
-                    f"or set the number of its inner corners with --board, such as --board 9x6; {OF_MARKERS}",
-                )
-            board = Board(*size, config.board.square_m)
-        detected = detect_all(recording, rig, board, plans, not everything, jobs, progress)
-        stations = [station for detections in detected for station in detections]
-        for name_of_camera, topic in rig.sources.image.items():
-            lost = [
-                r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")
-            ]
-            if lost and not any(
-                camera == name_of_camera for station in stations for camera, _ in station.found
-            ):
-                raise undecodable(lost)
-            if lost:
-                count = len({rejection.time_ns for rejection in lost})
-                recording.note(f"{count} images cannot be decoded, such as one on {lost[0].detail}")
-        any_board = any(isinstance(d, Detection) for station in stations for d in station.found.values())
-        if not any_board and board.markers is None:
-            size = board_size(recording, rig, plans)
-            if size is not None and set(size) != {board.columns, board.rows}:
-                raise other_board(earlier[0].name, name, board, size) if earlier else other_size(board, size)
-        chain_notes = [
-            f"{capitalized(each.message)}. {capitalized(each.hint)}." for each in wrong_chain(survey, rig)
-        ]
-        notes = (*survey.notes, *chain_notes, *plan_notes, *recording.damage)
-        other = _other_cameras(earlier[0], name, rig) if earlier else ()
-        logs = []
-        for plan, detections in zip(plans, detected, strict=True):
-            measured = [station.measured for station in detections]
-            check_arrangement(measured, first_pairs(detections, rig.cameras), rig.cameras, board)
-            measured, misfit = agreeing(measured)
-            if board.square_m is not None:
-                check_square(measured, board.square_m)
-            every_note = (*notes, *misfit, *other, *_unused(name, measured))
-            logs.append(
-                ExtractedLog(name, survey.description, rig, board, plan, detections, measured, every_note)
+        return _detected(earlier, recording, survey, rig, plans, plan_notes, progress, jobs)
+
+
+def _detected(
+    earlier: Sequence[ExtractedLog],
+    recording: Recording,
+    survey: Survey,
+    rig: Rig,
+    plans: Sequence[Plan],
+    plan_notes: Sequence[str],
+    progress: Progress,
+    jobs: int,
+) -> list[ExtractedLog]:
+    """The logs of one recording, with the board in the images of its planned stations."""
+    name, config = str(recording.paths[0]), survey.config
+    board = earlier[-1].board if earlier else config.board.stated
+    if earlier:
+        _refuse_other_robot(earlier[0], name, rig)
+    for log in earlier:
+        for plan in plans:
+            if same_signals((log.plan.wheels, log.plan.joints), (plan.wheels, plan.joints)):
+                refuse_same(log.name, name, "wheel and joint readings")
+    if board is None:
+        progress("finding the board's size", 0, None)
+        size = board_size(recording, rig, plans)
+        if size is None:
+            raise ObservationError(
+                f"no checkerboard found in the images of {sum(len(plan.stations) for plan in plans)} stations",
+                f"keep the whole board in {rig.cameras.images_words}, in good light, with {readable_words(None)}, "
+                f"or set the number of its inner corners with --board, such as --board 9x6; {OF_MARKERS}",
             )
-        return logs
+        board = Board(*size, config.board.square_m)
+    detected = detect_all(recording, rig, board, plans, config.stations != "all", jobs, progress)
+    stations = [station for detections in detected for station in detections]
+    for name_of_camera, topic in rig.sources.image.items():
+        lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
+        if lost and not any(camera == name_of_camera for station in stations for camera, _ in station.found):
+            raise undecodable(lost)
+        if lost:
+            count = len({rejection.time_ns for rejection in lost})
+            recording.note(f"{count} images cannot be decoded, such as one on {lost[0].detail}")
+    any_board = any(isinstance(d, Detection) for station in stations for d in station.found.values())
+    if not any_board and board.markers is None:
+        size = board_size(recording, rig, plans)
+        if size is not None and set(size) != {board.columns, board.rows}:
+            raise other_board(earlier[0].name, name, board, size) if earlier else other_size(board, size)
+    chain_notes = [
+        f"{capitalized(each.message)}. {capitalized(each.hint)}." for each in wrong_chain(survey, rig)
+    ]
+    notes = (*survey.notes, *chain_notes, *plan_notes, *recording.damage)
+    other = _other_cameras(earlier[0], name, rig) if earlier else ()
+    logs = []
+    for plan, detections in zip(plans, detected, strict=True):
+        measured = [station.measured for station in detections]
+        check_arrangement(measured, first_pairs(detections, rig.cameras), rig.cameras, board)
+        measured, misfit = agreeing(measured)
+        if board.square_m is not None:
+            check_square(measured, board.square_m)
+        every_note = (*notes, *misfit, *other, *_unused(name, measured))
+        logs.append(
+            ExtractedLog(name, survey.description, rig, board, plan, detections, measured, every_note)
+        )
+    return logs
 
 
 def other_size(board: Board, size: tuple[int, int]) -> ObservationError:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from itertools import chain, islice
 from typing import TypeVar
 
@@ -19,15 +20,15 @@ from mobilecal_cli.model import (
     STRING,
     TRANSFORMS,
     CameraInfo,
-    FloatArray,
     NumberField,
     RobotDescription,
 )
 from mobilecal_cli.readers.containers.recording import Recording
+from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath
 from mobilecal_cli.readers.messages.types import Decoded, leaves_of
 from mobilecal_cli.readers.signals.camera_infos import camera_info
-from mobilecal_cli.readers.signals.joints import transforms_of
+from mobilecal_cli.readers.signals.joints import SAMPLED_BYTES, transforms_of
 from mobilecal_cli.readers.signals.wheels import wraps
 
 T = TypeVar("T")
@@ -78,12 +79,12 @@ def read_description(recording: Recording) -> RobotDescription:
         names[ODOMETRY],
         lambda message: (str(message.header.frame_id), str(message.child_frame_id)),
     )
-    transforms: dict[tuple[str, str], FloatArray] = {}
-    try:
-        told = [topic for topic in names[TRANSFORMS] if not urdfs or topic.endswith("static")]
-        transforms = transforms_of(recording, told)
-    except RecordingError as error:  # the configuration may not need them
-        recording.note(error.message)
+    static = [topic for topic in names[TRANSFORMS] if topic.endswith("static")]
+    if urdfs:  # they may lack frames that do not move
+        first = _read(recording, static, JOINT_MESSAGES, JOINT_MESSAGES, lambda message: message)
+        transforms = transforms_of(chain(*first.values()))
+    else:
+        transforms = transforms_of(_sampled(recording, names[TRANSFORMS]))
     return RobotDescription(
         topics=recording.topics,
         infos=infos,
@@ -96,6 +97,16 @@ def read_description(recording: Recording) -> RobotDescription:
         transforms=transforms,
         odometry_frames=frames,
     )
+
+
+def _sampled(recording: Recording, topics: Sequence[str]) -> Iterator[Decoded]:
+    """Messages of some topics that can be decoded; a long recording is read in parts."""
+    try:
+        for message in recording.messages(topics, Extent(SAMPLED_BYTES)) if topics else ():
+            with suppress(RecordingError, *NOT_ITS_TYPE):
+                yield message.decode()
+    except RecordingError as error:  # the configuration may not need them
+        recording.note(error.message)
 
 
 def _first(recording: Recording, topics: Sequence[str], read: Callable[[Decoded], T]) -> dict[str, T]:

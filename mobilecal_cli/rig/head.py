@@ -96,7 +96,7 @@ def head_of(
     read = {*joint_state_names(description), *config.joints.fields}
     if urdf_text is None and not description.urdfs:
         origin = "transforms in the recording"
-        urdf, base, pan, tilt = _moving_transforms(config, description, camera_frame)
+        urdf = _moving_transforms(description, camera_frame)
         notes.append(
             "The recording contains no URDF. The head's joints are derived from the motion of its transforms; "
             "joint angles are zero at the first transform."
@@ -108,14 +108,19 @@ def head_of(
             if len(set(description.urdfs.values())) > 1:
                 notes.append(f"The recording contains several URDFs. The one on {topic} is used.")
         urdf = _with_transforms(parse_urdf(urdf_text), description.transforms)
-        base = _base_of(config, urdf, camera_frame)
-        way = _moving_to(urdf, base, camera_frame)
-        on_way = way is not None
-        offered = [joint.name for joint in (urdf.joints.values() if way is None else way)]
-        pan, tilt = pan_and_tilt(config, [name for name in offered if name in read], on_way)
-        if not tilt and config.head.head_frame is None:
-            # Joint states may lack some of the head's joints; the URDF still names them.
-            pan, tilt = pan_and_tilt(config, offered, on_way)
+    base = _base_of(config, urdf, camera_frame)
+    way = _moving_to(urdf, base, camera_frame)
+    on_way = way is not None
+    offered = [joint.name for joint in (urdf.joints.values() if way is None else way)]
+    pan, tilt = pan_and_tilt(config, [name for name in offered if name in read], on_way)
+    if not tilt and config.head.head_frame is None:
+        # Joint states may lack some of the head's joints; the URDF still names them.
+        pan, tilt = pan_and_tilt(config, offered, on_way)
+    turning = [joint.name for joint in way or () if joint.kind == "revolute"]
+    if (
+        not tilt and turning and urdf_text is None
+    ):  # no frame is named tilt: the last moving joint is the tilt
+        tilt, pan = turning[-1], pan or (turning[0] if len(turning) > 1 else "")
     head = _head_link_of(config, urdf, base, pan, tilt, camera_frame, read)
     wheel_joints = urdf_wheels(urdf, wheels)
     wheels = as_drawn(wheels, wheel_joints, config, urdf, base)
@@ -136,10 +141,12 @@ def head_of(
     return Head(chain, urdf, drawn, wheels, origin, (*notes, *offset_notes))
 
 
-def _moving_transforms(
-    config: RigConfig, description: RobotDescription, camera_frame: str
-) -> tuple[Urdf, str, str, str]:
-    """The transforms of a recording without a URDF as one, its base, and the pan and the tilt joint by their motion."""
+def _moving_transforms(description: RobotDescription, camera_frame: str) -> Urdf:
+    """The transforms of a recording without a URDF as one.
+
+    Raises:
+        RecordingError: they do not lead to the camera.
+    """
     urdf = urdf_of_transforms(description.transforms)
     if camera_frame not in urdf.links:
         to = f"no transforms to the camera frame {camera_frame!r}, " if camera_frame else ""
@@ -152,12 +159,7 @@ def _moving_transforms(
             "set head.urdf or head.chain in rig.yaml (a camera on the base: chain: []); mobilecal init LOG --urdf FILE "
             "drafts it",
         )
-    base = _base_of(config, urdf, camera_frame)
-    moving = [joint.name for joint in urdf.path(base, camera_frame) if joint.kind == "revolute"]
-    pan, tilt = pan_and_tilt(config, moving)
-    if not tilt and moving:  # no frame is named tilt: the last moving joint is the tilt
-        tilt, pan = moving[-1], pan or (moving[0] if len(moving) > 1 else "")
-    return urdf, base, pan, tilt
+    return urdf
 
 
 def _chain_link(link: ChainLink) -> FixedLink | JointLink:
@@ -265,21 +267,19 @@ def _vehicle_offset(
     The vehicle frame lies midway between the wheels, with x perpendicular to the axle. If the URDF's base link
     differs, the offset is computed from the origins of the wheel joints. Without these, it is as odometry shows it.
     """
-    links, notes, ahead_m = [], [], description.odometry_ahead_m
-    topic, odometry = next(
-        ((each.topic, each.baked_in is not None) for each in sources.values()), ("", False)
-    )
-    if not joints and ahead_m:
-        frame = description.odometry_frames.get(topic, ("", base))[1]
+    links, notes, source = [], [], next(iter(sources.values()), None)
+    ahead_m = description.odometry_ahead_m
+    if not joints and ahead_m and source is not None:
+        frame = description.odometry_frames.get(source.topic, ("", base))[1]
         T_frame_base = fixed_pose(urdf, frame, base)
         T_v_frame = se3.transform(np.eye(3), np.array([ahead_m, 0.0, 0.0]))
         links.append(FixedLink(T_v_frame if T_frame_base is None else T_v_frame @ T_frame_base))
         notes.append(
-            "The URDF names no wheels. The vehicle frame is placed on the axle about which the odometry turns."
+            "The robot description names no wheels. The vehicle frame is on the axle about which the odometry turns."
         )
-    elif not joints and not odometry:
+    elif not joints and source is not None and source.baked_in is None:
         notes.append(
-            f"The URDF names no wheels: {base} is taken as midway between them, with its x axis ahead."
+            f"The robot description names no wheels: {base} is taken as midway between them, with its x axis ahead."
         )
     if joints:
         unread = [name for source in sources.values() for name in source.unread or ()]

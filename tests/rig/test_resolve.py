@@ -825,7 +825,7 @@ def test_odometry_shows_where_the_axle_is_if_the_urdf_does_not():
         log = description(urdf=urdf, odometry_ahead_m=ahead_m, **odometry)
         rig, notes = resolve_rig(RigConfig(), log)
         assert head_pose(rig.chain, np.zeros(2))[:3, 3] == pytest.approx([x_m, 0, 1])
-        assert any("placed on the axle" in note for note in notes) == bool(x_m)
+        assert any("frame is on the axle" in note for note in notes) == bool(x_m)
     _, notes = resolve_rig(RigConfig(), description(urdf=bare))
     assert any("base_link is taken as midway between them" in note for note in notes)
 

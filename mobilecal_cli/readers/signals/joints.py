@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class StatedJoint(Source):
 
 
 #: Bytes of a recording that are read to compare topics, or for its transforms.
-_SAMPLED_BYTES = 2**28
+SAMPLED_BYTES = 2**28
 #: A joint whose range is this share of that on another topic stands still.
 _STILL_SHARE = 0.01
 
@@ -115,7 +115,7 @@ def choose_topics(
     velocities = {
         name: [read.add(StatedJoint(topic, name, "velocity")) for topic in shared[name]] for name in wheels
     }
-    read.run(Extent(_SAMPLED_BYTES), {})
+    read.run(Extent(SAMPLED_BYTES), {})
     chosen: dict[str, str] = {}
     problems: dict[str, RecordingError] = {}
     silent: dict[tuple[str, str, str], list[str]] = {}
@@ -198,13 +198,13 @@ class TransformJoint(Source):
         return track if self._source.kind == "prismatic" else Track(track.time_ns, np.unwrap(track.value))
 
 
-def transforms_of(recording: Recording, topics: Sequence[str]) -> dict[tuple[str, str], FloatArray]:
-    """Samples of all transforms of a recording, (parent, child) → (n, 4, 4), m; a long recording is read in parts."""
+def transforms_of(messages: Iterable[Decoded]) -> dict[tuple[str, str], FloatArray]:
+    """Samples of all transforms in TF messages, (parent, child) → (n, 4, 4), m."""
     samples_of: dict[tuple[str, str], list[FloatArray]] = {}
-    for message in recording.messages(topics, Extent(_SAMPLED_BYTES)) if topics else ():
+    for message in messages:
         try:
-            items = list(message.decode().transforms)
-        except (RecordingError, *NOT_ITS_TYPE):
+            items = list(message.transforms)
+        except NOT_ITS_TYPE:
             continue
         for item in items:
             try:
