@@ -670,7 +670,7 @@ _CONVENTIONS: Mapping[str, Callable[[FloatArray], FloatArray]] = {
 def nominal_pose(case: Case, metric: Metric) -> Iterator[Check]:
     """A nominal pose of the camera that is no rough value of the result, and the convention that would explain it.
 
-    What the recording does not show is taken from it.
+    What the recording does not show is taken from it: a failure if that is the height, and the place is elsewhere.
     """
     rig, pose, limit = case.extraction.rig, case.solution.T_h_reference, 3.0
     stated, head, frame = rig.nominal.T_h_reference, rig.chain.head_frame, rig.cameras.of_reference.frame_id
@@ -706,14 +706,17 @@ def nominal_pose(case: Case, metric: Metric) -> Iterator[Check]:
             )
     elif likely:
         why = f"nominal.head_eye looks like {likely}: it differs from the result {by}."
+    uncertainty, height = case.solution.uncertainty, ""
+    if uncertainty is not None and uncertainty.described.any() and distance_m > limit * NINE_SIGMAS[3]:
+        height = " The camera's height, which no motion shows, is taken from it."
     yield metric.check(
         sigmas,
         limit,
         "nominal pose of the camera",
         visible(cure),
         measured=by,
-        why=visible(why),
-        beyond="warning",
+        why=visible(f"{why}{height}"),
+        beyond="fail" if height else "warning",
     )
 
 

@@ -368,6 +368,19 @@ def test_a_nominal_pose_far_from_the_result_is_a_warning(solution, extraction, s
     assert (said or "") in verdict.next_step
 
 
+@pytest.mark.parametrize(("off_m", "level"), [(0.25, "PASS"), (0.5, "FAIL")])
+def test_a_height_that_is_taken_from_a_pose_elsewhere_fails(off_m, level):
+    """A transform in millimeters: the camera was stated 15 m away, and its height was taken from there."""
+    solution, extraction = drawn()
+    stated = solution.T_h_reference.copy()
+    stated[0, 3] += off_m
+    rig = replace(extraction.rig, nominal=Nominal(stated, WHEELS))
+    height = with_uncertainty(solution, observable=np.arange(9) != 5, described=np.arange(9) == 5)
+    verdict = judge(height, replace(extraction, rig=rig))
+    assert verdict.level == level
+    assert ("camera's height, which no motion shows, is taken from it" in verdict.reason) == (level == "FAIL")
+
+
 def jump(part, extraction, shift_sigmas=40.0, turn_rad=0.0, move_m=0.012):
     """A change of a part before the station of index 6."""
     time_ns = extraction.observations[6].time_ns
