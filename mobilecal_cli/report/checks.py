@@ -693,8 +693,8 @@ def nominal_pose(case: Case, metric: Metric) -> Iterator[Check]:
     why = f"The pose of the camera differs from nominal.head_eye {by}."
     cure = f"State the pose of {frame}, the optical frame (x right, z forward), in {head}."
     if rig.setting_sources.get("nominal head_eye") == "URDF":
-        why = f"The pose of the camera differs from that of {frame} in the URDF {by}."
-        cure = f"Check that the images are of the frame {frame}, and its pose in {head}."
+        why = f"The pose of the camera differs from that of {frame} in the URDF or the transforms {by}."
+        cure = f"Check that the images are of the frame {frame}, and its pose in {head} (m)."
         if likely == _BODY:
             why = (
                 f"The frame_id of the images, {frame}, is a body frame in the URDF (x forward), but the pose is that "

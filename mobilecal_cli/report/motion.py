@@ -93,7 +93,7 @@ def missing_motion(motion: Mapping[str, float], names: Sequence[str], chain: Hea
     if set(names) & set(NINE[6:]) and not turns and "driven_m" not in small:
         driven, turned = (MOTION[key].text(motion[key]) for key in ("driven_m", "turned_deg"))
         too_little.append(
-            f"the base drove {driven} and turned by {turned}, too nearly in one proportion for this noise"
+            f"the base drove {driven} and turned by {turned}, too nearly in one proportion for its noise"
         )
         cures.append("turn in place at some stops, and drive straight between others")
         turns = True

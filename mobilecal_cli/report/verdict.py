@@ -203,7 +203,7 @@ def gate_checks(
         metric, measured = metrics[name], "unknown" if value is None else _rounded(value, limit)
         otherwise = "Record again, or change the limit."
         if value is None:
-            otherwise = "Leave out this gate: such a recording, robot or method does not have this figure."
+            otherwise = "Leave out this gate: the calibration does not have this figure."
         check = replace(metric, name=f"{GATE}{name}", section="checks").check(
             value,
             limit,

@@ -102,10 +102,10 @@ def test_a_base_at_rest_does_not_show_the_zero_of_the_pan_joint():
     ("motion", "unknown", "cures", "said"),
     [
         ({"turned_deg": 318.0, "driven_m": 0.37}, NINE[6:], ["turn in place"],
-         "the base drove 0.37 m and turned by 318.0 degrees, too nearly in one proportion for this noise"),
+         "the base drove 0.37 m and turned by 318.0 degrees, too nearly in one proportion for its noise"),
         ({"turned_deg": 2.1, "driven_m": 3.3}, NINE[8:], ["turn the base"], "the base turned by 2.1 degrees only"),
         ({"turned_deg": 407.1, "driven_m": 5.71}, NINE[8:], ["turn in place"],
-         "the base drove 5.71 m and turned by 407.1 degrees, too nearly in one proportion for this noise"),
+         "the base drove 5.71 m and turned by 407.1 degrees, too nearly in one proportion for its noise"),
         ({"turned_deg": 0.0, "driven_m": 0.0}, NINE[6:], ["turn the base", "drive forward"],
          "the base turned by 0.0 degrees only and the base drove 0.00 m only"),
         ({"turned_deg": 90.0, "driven_m": 3.0}, NINE[:3], ["tilt the head"], ""),

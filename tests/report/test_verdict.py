@@ -351,7 +351,11 @@ URDF = {"nominal head_eye": "URDF"}
             {},
             "differs from nominal.head_eye by 119 degrees",
         ),
-        (lambda T: T @ se3.exp(np.array([2.06, 0, 0, 0, 0, 0])), URDF, "in the URDF by 119 degrees"),
+        (
+            lambda T: T @ se3.exp(np.array([2.06, 0, 0, 0, 0, 0])),
+            URDF,
+            "in the URDF or the transforms by 119 degrees",
+        ),
         (se3.inverse, {}, "nominal.head_eye looks like the inverse, the pose of the head in the camera"),
         (lambda T: T @ se3.inverse(OPTICAL_IN_BODY), {}, "looks like the pose of the camera's body frame"),
         (lambda T: OPTICAL_IN_BODY @ se3.inverse(T), {}, "the pose of the head in the camera's body frame"),
