@@ -79,24 +79,21 @@ class Constraints:
             for name in names:
                 if name not in known:
                     raise _unknown(flag, name, known)
-        relative = [
-            ("--fix", name) for name, value in self.fixed.items() if value is None or name in NINE[:3]
-        ]
-        relative += [("--prior", name) for name in self.priors if name in NINE[:3]]
+        fixed = [name for name, value in self.fixed.items() if value is None or name in NINE[:3]]
+        relative = {"--fix": fixed, "--prior": [name for name in self.priors if name in NINE[:3]]}
         for key, known_value, own in (
             ("nominal.head_eye", nominal.T_h_reference, NINE[:6]),
             ("nominal.wheels", nominal.wheels, NINE[6:]),
         ):
-            lacking = [(flag, name) for flag, name in relative if name in own and known_value is None]
-            if lacking:
-                absolute = (
-                    ""
-                    if any(name in NINE[:3] for _, name in lacking)
-                    else ", or give values: --fix NAME=VALUE"
-                )
+            if known_value is not None:
+                continue
+            lacking = {flag: [name for name in names if name in own] for flag, names in relative.items()}
+            if any(lacking.values()):
+                rotations = {*lacking["--fix"], *lacking["--prior"]} & {*NINE[:3]}
+                given = [f"{flag} {name}" for flag, names in lacking.items() for name in _in_groups(flag, names)]
                 raise ConfigError(
-                    f"{', '.join(map(' '.join, lacking))}: relative to {key}, which is not known",
-                    f"set {key} in rig.yaml{absolute}",
+                    f"{', '.join(given)}: relative to {key}, which is not known",
+                    f"set {key} in rig.yaml{'' if rotations else ', or give values: --fix NAME=VALUE'}",
                 )
 
     def check_shown(self, shown: Collection[str]) -> None:

@@ -126,7 +126,7 @@ wheels: {radius_left_m: 0.1, radius_right_m: 0.1, separation_m: 0.4}
     [
         (["r_y=0.01"], [], "--fix r_y: relative to nominal.head_eye"),
         (["r_y"], [], "--fix r_y: relative to nominal.head_eye"),
-        (["rotation"], [], "--fix r_x, --fix r_y, --fix r_z: relative to nominal.head_eye"),
+        (["rotation"], [], "--fix rotation: relative to nominal.head_eye"),
         (["t_x"], [], "--fix t_x: relative to nominal.head_eye"),
         (["wheels"], [], "relative to nominal.wheels"),
         ([], ["r_y=0.01±0.0001"], "--prior r_y: relative to nominal.head_eye"),
