@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import NINE, FloatArray
+from mobilecal_cli.model import FACTORS, FloatArray
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import PARAMETERS, std_text, value_text
@@ -35,11 +35,13 @@ class FleetRow:
         reason: one sentence.
         stations: number of stations used.
         rotvec_rad: rotation vector of the reference camera in the head frame, (3,); empty without a result.
-        lengths_m: its position, then radius_right, radius_left, separation, (6,); empty without a result.
-        std: nine standard deviations, rad and m, None where unknown; empty without a result.
+        lengths_m: its position, then radius_right, radius_left, separation, (6,); of odometry alone only the position;
+            empty without a result.
+        std: nine standard deviations, rad, m and of multipliers, None where unknown; empty without a result.
         skipped: why the robot was not calibrated in this run; empty if it was.
         hint: what to do next, if it did not pass.
         seconds: how long it took, s.
+        factors: multipliers of odometry alone in the order of the wheels, (3,); empty for wheels.
     """
 
     name: str
@@ -53,6 +55,7 @@ class FleetRow:
     skipped: str = ""
     hint: str = ""
     seconds: float = 0.0
+    factors: tuple[float, ...] = ()
 
 
 def robots_of(rows: Sequence[FleetRow]) -> list[FleetRow]:
@@ -60,19 +63,26 @@ def robots_of(rows: Sequence[FleetRow]) -> list[FleetRow]:
     return [row for row in rows if row.verdict != "SKIPPED"]
 
 
+def _heads(rows: Sequence[FleetRow]) -> list[tuple[str, str, float]]:
+    """Name of each number, its unit for people, and how many of it one rad or m is; also of multipliers."""
+    heads = [(parameter.name, parameter.shown_unit, parameter.factor) for parameter in PARAMETERS]
+    return heads + [(name, "", 1.0) for name in FACTORS[:3] if any(row.factors for row in rows)]
+
+
 def fleet_numbers(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
-    """Parameters, (n, 9), and standard deviations, (n, 9), in deg and mm, NaN where there are none.
+    """Numbers of each robot, (n, K), see `_heads`, and standard deviations, (n, K), NaN where there are none.
 
     Rotations are those of the camera in the head, as rotation vectors.
     """
-    numbers, std = np.full((2, len(rows), len(NINE)), np.nan)
-    factors = np.array([parameter.factor for parameter in PARAMETERS])
+    units = np.array([unit for _, _, unit in _heads(rows)])
+    numbers, std = np.full((2, len(rows), len(units)), np.nan)
     for i, row in enumerate(rows):
+        columns = [*range(6), *(range(9, 12) if row.factors else range(6, 9))]
         if row.lengths_m:
-            numbers[i] = np.array([*row.rotvec_rad, *row.lengths_m]) * factors
+            numbers[i, columns] = [*row.rotvec_rad, *row.lengths_m, *row.factors]
         if row.std:
-            std[i] = np.array([np.nan if s is None else s for s in row.std]) * factors
-    return numbers, std
+            std[i, columns] = [np.nan if s is None else s for s in row.std]
+    return numbers * units, std * units
 
 
 def compared(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
@@ -95,12 +105,13 @@ def standing_out(rows: Sequence[FleetRow]) -> Mapping[str, tuple[str, ...]]:
     answered = np.isfinite(numbers[:, 0])
     if answered.sum() < _FEWEST:
         return {}
-    middle = np.nanmedian(numbers, axis=0)
-    off = np.abs(numbers - middle)
+    known = np.isfinite(numbers).sum(axis=0) >= _FEWEST  # of wheels, and of odometry
+    numbers = np.where(known, numbers, 0.0)
+    off = np.abs(numbers - np.nanmedian(numbers, axis=0))
     spread = 1.4826 * np.nanmedian(off, axis=0)
     out = (off > OUT_OF_FLEET * spread) & (off > OUT_OF_SIGMA * np.nan_to_num(std)) & (off > 0)
     return {
-        row.name: tuple(name for name, far in zip(NINE, flags, strict=True) if far)
+        row.name: tuple(name for (name, *_), far in zip(_heads(rows), flags, strict=True) if far)
         for row, flags in zip(rows, out, strict=True)
         if flags.any()
     }
@@ -110,7 +121,7 @@ def _columns(rows: Sequence[FleetRow]) -> list[dict[str, Any]]:
     """Column → value of each robot, NaN where unknown."""
     numbers, std = fleet_numbers(rows)
     out = standing_out(rows)
-    names = [f"{p.name}_{p.shown_unit}" for p in PARAMETERS]
+    names = ["_".join(filter(None, head[:2])) for head in _heads(rows)]
     names += [f"std_{name}" for name in names]
     return [
         {
@@ -156,14 +167,14 @@ def fleet_json(rows: Sequence[FleetRow]) -> str:
 def fleet_html(rows: Sequence[FleetRow]) -> str:
     """The table as an HTML page with links to the reports."""
     robots = robots_of(rows)
-    out, lines = standing_out(robots), []
+    out, lines, names = standing_out(robots), [], [name for name, *_ in _heads(robots)]
     for row, values, sigmas in zip(robots, *compared(robots), strict=True):
         texts = [
             value_text(value, s, 2) if np.isfinite(value) else ""
             for value, s in zip(values, sigmas, strict=True)
         ]
         stds = [f"± {std_text(sigma)}" if np.isfinite(sigma) else "" for sigma in sigmas]
-        lines.append((row, zip(NINE, texts, stds, strict=True), out.get(row.name, ())))
+        lines.append((row, zip(names, texts, stds, strict=True), out.get(row.name, ())))
     levels = ("PASS", "FAIL", "NOT ENOUGH", "GATE FAILED", "ERROR")
     return template("fleet.html.jinja").render(
         lines=lines,
@@ -171,7 +182,7 @@ def fleet_html(rows: Sequence[FleetRow]) -> str:
         fleet_limit=OUT_OF_FLEET,
         sigma_limit=OUT_OF_SIGMA,
         counts={level: sum(row.verdict == level for row in rows) for level in levels},
-        heads=[(parameter.name, parameter.shown_unit) for parameter in PARAMETERS],
+        heads=[head[:2] for head in _heads(robots)],
         total=len(lines),
         skipped=skipped_text(rows),
         out=len(out),

@@ -27,6 +27,30 @@ def test_the_table_has_each_robot_s_own_rotation():
     assert "Rotations are relative to the first robot that passes" in fleet_html(rows)
 
 
+def test_odometry_alone_has_multipliers_and_no_wheels():
+    """The assumed radius of 0.1 m times the multiplier stood in the column of the radius, which nobody measured."""
+    odometry = [
+        FleetRow(
+            f"o{n}", "PASS", 0, "", 12, (0.0,) * 3, (0.1,) * 3, (1e-3,) * 9, factors=(1.01, 1 + n // 5, 0.9)
+        )
+        for n in range(6)
+    ]
+    rows = [
+        *odometry,
+        FleetRow("w", "PASS", 0, "", 12, (0.0,) * 3, (0.1,) * 6, (1e-3,) * 9),
+        FleetRow("e", "ERROR", 3, ""),
+    ]
+    *lines, wheels, error = csv.DictReader(io.StringIO(fleet_csv(rows)))
+    assert [line["left_wheel_radius_multiplier"] for line in lines] == ["1.000000"] * 5 + ["2.000000"]
+    assert {line["std_right_wheel_radius_multiplier"] for line in lines} == {"0.001000"}
+    assert {line["radius_left_mm"] for line in [*lines, error]} == {""}
+    assert wheels["radius_left_mm"] == "100.000000"
+    assert wheels["left_wheel_radius_multiplier"] == ""
+    assert lines[-1]["stands_out"] == "left_wheel_radius_multiplier"
+    assert "wheel_separation_multiplier" in fleet_html(rows)
+    assert "multiplier" not in fleet_csv(rows[6:])
+
+
 def test_the_first_five_of_what_is_skipped_are_named():
     done = [FleetRow(f"r{n}", "PASS", 0, "", skipped="already done") for n in range(6)]
     said = "Skipped, already done: 6 (r0, r1, r2, r3, r4, and 1 more)."
