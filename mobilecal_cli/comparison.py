@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -12,10 +12,14 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.arguments import require
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.likelihood.predict import AHEAD_M
+from mobilecal_cli.kinematics import same_joints
+from mobilecal_cli.likelihood.constants import joint_constants
+from mobilecal_cli.likelihood.predict import AHEAD_M, camera_in_base
 from mobilecal_cli.model import NINE, BoolArray, CalibratedRobot, FloatArray, Parameters, WheelGeometry
 from mobilecal_cli.model.arrays import ReadOnly
 
+#: Significance level.
+UNLIKELY = 0.01
 #: Change of an unobservable parameter, in standard deviations of its nominal value, that no nominal value explains.
 MOST_NOMINAL_SIGMAS = 5.0
 
@@ -38,6 +42,8 @@ class Difference(ReadOnly):
         along_m_per_m: change of the distance by dead reckoning per meter of straight driving.
         heading_rad_per_m: change of heading per meter where a drives straight.
         heading_rad_per_turn: change of heading in a full turn in place.
+        joints: constant of the head chain → its change and standard deviation, in units for people, and the unit; where
+            both correct the same chain.
         assumed: wheels that the radii and the separation are factors of, where both calibrate odometry.
     """
 
@@ -53,12 +59,21 @@ class Difference(ReadOnly):
     along_m_per_m: float
     heading_rad_per_m: float
     heading_rad_per_turn: float
+    joints: Mapping[str, tuple[float, float, str]] = field(default_factory=dict)
     assumed: WheelGeometry | None = None
 
     @property
     def sigmas(self) -> FloatArray:
         """Change in standard deviations, (9,); NaN where unknown."""
         return np.where(self.known, self.change / np.where(self.known, self.std, 1.0), np.nan)
+
+    @property
+    def moved_joints(self) -> dict[str, float]:
+        """Change in standard deviations of the constants of the head chain that have changed (level `UNLIKELY`)."""
+        sigmas = {name: change / std for name, (change, std, _) in self.joints.items() if std > 0}
+        return {
+            name: value for name, value in sigmas.items() if _chance(value**2, 1) * len(sigmas) < UNLIKELY
+        }
 
 
 def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
@@ -107,7 +122,8 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
     # A full turn in place by a: each wheel rolls b_a / 2 times 2 pi, one of them backwards.
     turned = 2 * math.pi * (right + left) / 2 * a.separation_m / b.separation_m
     ahead = np.array([0.0, 0.0, AHEAD_M])
-    shift = se3.act(second.T_parent_child, ahead[None]) - se3.act(first.T_parent_child, ahead[None])
+    T_first, T_second = _in_base(first, second)
+    shift = se3.act(T_second, ahead[None]) - se3.act(T_first, ahead[None])
     return Difference(
         change=change,
         std=std,
@@ -121,8 +137,33 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
         along_m_per_m=(right + left) / 2 - 1,
         heading_rad_per_m=(right - left) / b.separation_m,
         heading_rad_per_turn=turned - 2 * math.pi,
+        joints=_joints_apart(first, second),
         assumed=None if first.odometry is None else first.odometry.wheels,
     )
+
+
+def _in_base(*robots: CalibratedRobot) -> list[FloatArray]:
+    """(4, 4) pose of the camera in the base with the corrections of the head chain; in the head without a chain."""
+    return [
+        robot.T_parent_child
+        if any(each.chain is None for each in robots) or robot.chain is None
+        else camera_in_base(robot.chain, robot.constants or {}, robot.T_parent_child)
+        for robot in robots
+    ]
+
+
+def _joints_apart(first: CalibratedRobot, second: CalibratedRobot) -> dict[str, tuple[float, float, str]]:
+    """Change of the constants of the head chain, see `Difference.joints`."""
+    if first.chain is None or second.chain is None or not same_joints(first.chain, second.chain):
+        return {}
+    apart = {}
+    for row in joint_constants(first.chain):
+        if row.name in first.constants_std and row.name in second.constants_std:
+            values = [(robot.constants or {})[row.name] for robot in (first, second)]
+            std = math.hypot(*(robot.constants_std[row.name] for robot in (first, second)))
+            kind = row.of_kind
+            apart[row.name] = kind.shown * (values[1] - values[0]), kind.shown * std, kind.shown_unit
+    return apart
 
 
 def nine_apart(first: CalibratedRobot, second: CalibratedRobot) -> FloatArray:
@@ -165,6 +206,11 @@ def broken_limits(
         worst = int(np.argmax(sigmas))
         if sigmas[worst] > max_sigma:
             broken.append(f"{NINE[worst]} by {sigmas[worst]:.1f} sigma (limit {max_sigma:g})")
+        broken += [
+            f"{name} by {abs(moved):.1f} sigma (limit {max_sigma:g})"
+            for name, moved in change.moved_joints.items()
+            if abs(moved) > max_sigma
+        ]
     if max_ray_mm is not None and change.ray_m * 1e3 > max_ray_mm:
         broken.append(f"point 2 m ahead by {change.ray_m * 1e3:.2f} mm (limit {max_ray_mm:g})")
     turn_deg = abs(math.degrees(change.heading_rad_per_turn))

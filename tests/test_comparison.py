@@ -10,7 +10,17 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.comparison import broken_limits, difference, history
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
+from mobilecal_cli.model import (
+    NINE,
+    CalibratedRobot,
+    FixedLink,
+    HeadChain,
+    JointLink,
+    Knowledge,
+    LogSource,
+    Nominal,
+    WheelGeometry,
+)
 from mobilecal_cli.report.comparison import Comparison, change_from_nominal, comparison_json, comparison_text
 
 WHEELS = WheelGeometry(0.1, 0.1, 0.5)
@@ -48,6 +58,35 @@ def test_by_hand():
     assert found.heading_rad_per_m == pytest.approx(0.02 / 0.5)
     # A turn on the spot: the wheels roll 0.25 * 2 pi each, the right one 2 % more.
     assert found.heading_rad_per_turn == pytest.approx(2 * math.pi * 0.01)
+
+
+def with_chain(zero_rad, std_rad=0.002, height_m=0.1):
+    """A calibration whose head pans 1 m above the base; the tilt follows `height_m` above it."""
+    links = (
+        FixedLink(se3.transform(np.eye(3), np.array([0, 0, 1.0]))),
+        JointLink("pan_joint", np.array([0.0, 0, 1])),
+        FixedLink(se3.transform(np.eye(3), np.array([0, 0, height_m]))),
+        JointLink("tilt_joint", np.array([0.0, 1, 0])),
+    )
+    chain = HeadChain("base", "head", links, "pan_joint", "tilt_joint")
+    facing = se3.transform(se3.exp_so3(np.array([0, np.pi / 2, 0])), np.zeros(3))  # its z is the base's x
+    known = {"pan_zero": zero_rad, "tilt_scale": 0.0}, {"pan_zero": std_rad, "tilt_scale": 0.001}
+    return replace(robot(facing), constants=known[0], constants_std=known[1], chain=chain)
+
+
+def test_a_head_joint_whose_zero_moved():
+    """The nine are the same. It was "Unchanged"."""
+    found = difference(with_chain(0.001), with_chain(0.021))
+    sigmas = 0.02 / (0.002 * math.sqrt(2))
+    assert found.moved_joints == {"pan_zero": pytest.approx(sigmas)}
+    assert found.ray_m == pytest.approx(2 * 2 * math.sin(0.01))
+    text = comparison_text(Comparison(("a", "b"), (robot(), robot()), (found,), None))
+    assert " ".join(text.split()).startswith("Changed: from a to b, largest change 0.0 sigma")
+    assert f"The head chain changed: pan_zero +1.1 deg ({sigmas:.1f} sigma)." in " ".join(text.split())
+    assert broken_limits(found, max_sigma=5.0) == [f"pan_zero by {sigmas:.1f} sigma (limit 5)"]
+    assert not difference(with_chain(0.001), with_chain(0.008)).moved_joints
+    # Corrected in the URDF meanwhile: the constants count from another chain.
+    assert not difference(with_chain(0.001), with_chain(0.021, height_m=0.2)).moved_joints
 
 
 def test_rotation_is_in_the_heads_frame():

@@ -10,6 +10,9 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.gaps import require_stations
 from mobilecal_cli.calibrate.load import OTHER_ROBOT, load, parameters_of, read_params
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, SolveError
+from mobilecal_cli.kinematics import same_joints
+from mobilecal_cli.likelihood.constants import table
+from mobilecal_cli.likelihood.effects import CameraEffect
 from mobilecal_cli.model import CalibratedRobot, Extraction, Nominal, Solution
 from mobilecal_cli.model.text import listed
 from mobilecal_cli.report.evaluation import Evaluated, judge_evaluation
@@ -18,6 +21,9 @@ from mobilecal_cli.report.verdict import evaluated_figures, gate_checks, gates_o
 from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig
 from mobilecal_cli.solvers import clock_offsets, solve
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
+
+#: Kinds of constants that are part of a URDF once they are applied.
+_OF_CHAIN = ("joint_zero", "joint_axis", "joint_position")
 
 
 def evaluate(
@@ -52,7 +58,7 @@ def evaluate(
             f"the board was found at {len(extraction.observations)} stations: an evaluation needs two per recording",
             "give a recording with more stops in front of the board",
         )
-    robot = _for_recording(robot, extraction, params)
+    robot, left_out = _but_corrected(_for_recording(robot, extraction, params), extraction)
     earlier = None if before is None else _for_recording(read_params(before), extraction, before)
     parameters = parameters_of(robot, extraction, params)
     progress("solving", 0, None)
@@ -78,7 +84,30 @@ def evaluate(
     used = tuple(log.path for log in extraction.logs if log.sha256 in made_from)
     gated = gate_checks(limits, evaluated_figures(evaluation))
     verdict = judge_evaluation(evaluation, extraction, robot, own, cure, used, gated)
-    return Evaluated(evaluation, extraction, verdict, used)
+    return Evaluated(evaluation, extraction, verdict, used, left_out)
+
+
+def _but_corrected(robot: CalibratedRobot, extraction: Extraction) -> tuple[CalibratedRobot, tuple[str, ...]]:
+    """A calibration without its corrections of what the recording describes otherwise, and a note on each part.
+
+    They are differences from what was stated: a URDF or a camera_info that they were applied to must not be corrected
+    again.
+    """
+    rig, known = extraction.rig, robot.constants or {}
+    rows = [row for row in table(rig.cameras, rig.chain) if known.get(row.name)]
+    others: dict[str, set[str]] = {}
+    if robot.cameras_sha256 not in ("", rig.cameras.digest):
+        others["camera infos are"] = {row.name for row in rows if isinstance(row.effect, CameraEffect)}
+    if robot.chain is not None and not same_joints(robot.chain, rig.chain):
+        others["head chain is"] = {row.name for row in rows if row.kind in _OF_CHAIN}
+    dropped = set[str]().union(*others.values())
+    notes = tuple(
+        f"The recording's {words} not as this calibration was made with: its corrections of them are left out."
+        for words, names in others.items()
+        if names
+    )
+    constants = {name: value for name, value in known.items() if name not in dropped}
+    return replace(robot, constants=constants), notes
 
 
 def _for_recording(robot: CalibratedRobot, extraction: Extraction, params: Path) -> CalibratedRobot:

@@ -240,7 +240,7 @@ def _motion(
     if not extraction.joint_tracks:  # no joints between the stations
         return Motion(stops_ns, T_w_v[at], T_v_h[mine])
     # Between the stations without scale and backlash of the joints.
-    improved = improved_chain(extraction.rig, constants)
+    improved = improved_chain(extraction.rig.chain, constants)
     joints = [
         track.at(joints_ns) + improved.zeros.get(name, 0.0)
         for name, track in zip(extraction.rig.chain.joints, extraction.joint_tracks[log], strict=True)

@@ -10,9 +10,10 @@ import numpy as np
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.kinematics import joint_frames, joint_motion
+from mobilecal_cli.kinematics.head import SAME
 from mobilecal_cli.kinematics.urdf import Urdf, chain_links
-from mobilecal_cli.likelihood.constants import camera_change, table
-from mobilecal_cli.likelihood.effects import CameraEffect, ChainChange, ChainEffect, JointReading
+from mobilecal_cli.likelihood.constants import camera_change, corrected_chain, joint_constants, table
+from mobilecal_cli.likelihood.effects import CameraEffect, JointReading
 from mobilecal_cli.model import Camera, CameraRig, FloatArray, HeadChain, Rig
 
 #: Largest acceptable difference between a distortion model and the estimated lens.
@@ -108,30 +109,22 @@ def without_correction(camera: Camera, kalibr: bool = False) -> tuple[Camera, Fl
     return distorted_by(fitted.x), np.linalg.norm(residual(fitted.x).reshape(-1, 2), axis=1)
 
 
-def improved_chain(rig: Rig, constants: Mapping[str, float]) -> ImprovedChain:
+def improved_chain(chain: HeadChain, constants: Mapping[str, float]) -> ImprovedChain:
     """The head chain with the estimated constants.
 
     Args:
-        rig: the robot as stated.
+        chain: as stated.
         constants: name → difference from the stated value.
     """
-    change, zeros, others = ChainChange(), dict[str, float](), list[str]()
-    for row in table(rig.cameras, rig.chain):
-        value, effect = constants.get(row.name, 0.0), row.effect
-        if not value:
-            continue
-        if isinstance(effect, ChainEffect):
-            effect.add(change, value)
-        elif isinstance(effect, JointReading) and effect.error == "zero":
-            zeros[rig.chain.joints[effect.joint]] = value
-        elif isinstance(effect, JointReading):
-            kind = row.of_kind
-            others.append(f"{row.name} {value * kind.shown:+.3g} {kind.shown_unit}")
-    return ImprovedChain(rig.chain, change.apply(rig.chain), zeros, tuple(others))
+    improved, zeros = corrected_chain(chain, constants)
+    others = tuple(
+        f"{row.name} {constants[row.name] * row.of_kind.shown:+.3g} {row.of_kind.shown_unit}"
+        for row in joint_constants(chain)
+        if isinstance(row.effect, JointReading) and row.effect.error != "zero" and constants.get(row.name)
+    )
+    return ImprovedChain(chain, improved, dict(zip(chain.joints, zeros.tolist(), strict=True)), others)
 
 
-#: Larger differences are those of another robot: of lengths in m, of the elements of rotation matrices and axes.
-_SAME = 1e-6
 _COMPARED = ("kind", "joint", "multiplier", "offset")  # fields of a joint's link, beside its axis
 _HINT = "give the URDF that the calibration read"
 
@@ -165,8 +158,8 @@ def _check(names: Sequence[str], drawn: HeadChain, chain: HeadChain) -> None:
     own, known = joint_frames(drawn)[0], joint_frames(chain)[0]
     for number, (name, (link, T), (other, T_known)) in enumerate(zip(names, own, known, strict=False)):
         same = all(getattr(link, field) == getattr(other, field) for field in _COMPARED)
-        same = same and np.allclose(link.axis, other.axis, rtol=0, atol=_SAME)
-        if not same or (number > 0 and not np.allclose(T, T_known, rtol=0, atol=_SAME)):
+        same = same and np.allclose(link.axis, other.axis, rtol=0, atol=SAME)
+        if not same or (number > 0 and not np.allclose(T, T_known, rtol=0, atol=SAME)):
             raise ConfigError(f"URDF: joint {name!r} is not as in the calibrated robot's chain", _HINT)
     if len(own) != len(known):
         raise ConfigError(

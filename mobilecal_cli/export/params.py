@@ -32,14 +32,16 @@ from mobilecal_cli.model import (
     EstimatedConstant,
     Extraction,
     FloatArray,
+    HeadChain,
     Knowledge,
     LogSource,
     Provenance,
+    Setting,
     Solution,
     WheelGeometry,
     camera_words,
 )
-from mobilecal_cli.rig.config import Pose, Radius, Separation, WheelsNominal, checked_settings
+from mobilecal_cli.rig.config import Pose, Radius, RigConfig, Separation, WheelsNominal, checked_settings
 
 #: The beginning of every params.yaml, by which --force recognizes an output directory.
 FIRST_LINE = "# Robot calibration by mobilecal."
@@ -108,7 +110,11 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
                 (c, _unit(c, chain.prismatic)) for c in solution.constants.values() if c.prior > 0 or c.value
             ],
         }
-    logs = [{"path": log.path, "sha256": log.sha256} for log in provenance.logs]
+    sources: Setting = {
+        "logs": [{"path": log.path, "sha256": log.sha256} for log in provenance.logs],
+        "cameras_sha256": extraction.rig.cameras.digest,
+        "config": provenance.config,
+    }
     return rendered(
         "params.yaml",
         first_line=FIRST_LINE,
@@ -122,7 +128,7 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
         solution=solution,
         uncertainty=uncertainty,
         provenance=provenance,
-        sources=dump({"logs": logs, "config": provenance.config}).removesuffix("\n"),
+        sources=dump(sources).removesuffix("\n"),
         **shown,
     )
 
@@ -243,11 +249,13 @@ class _Odometry(_Section):
 
 class _Constant(_Section):
     value: Annotated[_Number, AfterValidator(ranges.DIFFERENCE.validated)]
+    sigma: Annotated[_Number, Field(ge=0)] = 0.0
 
 
 class _Provenance(_Section):
     created: str = ""
     logs: tuple[LogSource, ...] = ()
+    cameras_sha256: str = ""
     config: dict[str, Any] = {}
 
 
@@ -283,6 +291,15 @@ class _File(_Section):
         if of_factors != (self.odometry is not None and self.uncertainty is not None):
             raise ValueError("uncertainty.order does not belong to wheels or odometry")
         return self
+
+
+def _chain_of(settings: RigConfig) -> HeadChain | None:
+    """The head chain that the settings of a result state."""
+    head, joints = settings.head, settings.joints
+    if head.chain is None:
+        return None
+    links = tuple(link.stated for link in head.chain)
+    return HeadChain(head.base_frame or "", head.head_frame or "", links, joints.pan or "", joints.tilt or "")
 
 
 def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobot:
@@ -335,6 +352,9 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         ),
         rectified=checked.head_eye_raw is not None,
         constants=constants,
+        constants_std={name: entry.sigma for name, entry in (checked.constants or {}).items()},
+        chain=_chain_of(settings),
+        cameras_sha256=checked.provenance.cameras_sha256,
         verdict="" if verdict is None else verdict.level,
         reasons=() if verdict is None else verdict.reasons,
     )

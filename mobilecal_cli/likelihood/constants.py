@@ -19,6 +19,7 @@ from mobilecal_cli.likelihood.effects import (
     BoardEffect,
     CameraChange,
     CameraEffect,
+    ChainChange,
     ChainEffect,
     Clock,
     Effect,
@@ -288,7 +289,8 @@ def joint_keys(chain: HeadChain) -> Mapping[int, str]:
     return keys
 
 
-def _of_joints(chain: HeadChain) -> Iterator[Constant]:
+def joint_constants(chain: HeadChain) -> Iterator[Constant]:
+    """Rows of the head's joints: zeros, scales, backlash, axes and positions."""
     keys = joint_keys(chain)
     columns = {name: k for k, name in enumerate(chain.joints)}
     done: set[str] = set()
@@ -320,7 +322,7 @@ def table(cameras: CameraRig, chain: HeadChain) -> tuple[Constant, ...]:
     """The rows of all constants of a robot, with default priors."""
     usual = cameras.calibrated and cameras.names == SIDES
     common = CONSTANTS if usual else _common(cameras.names, cameras.calibrated)
-    return (*common, *_of_baseline(cameras), *_of_joints(chain))
+    return (*common, *_of_baseline(cameras), *joint_constants(chain))
 
 
 def clocks_of(logs: Iterable[int]) -> Iterator[Constant]:
@@ -367,6 +369,27 @@ def camera_change(
         if values.get(name):
             effect.add(change, values[name])
     return change
+
+
+def corrected_chain(chain: HeadChain, values: Mapping[str, float]) -> tuple[HeadChain, FloatArray]:
+    """What estimated constants change in a head chain, beside scale and backlash of the joints.
+
+    Args:
+        chain: as stated.
+        values: name of a constant → its value; those that are not there are zero.
+
+    Returns:
+        The chain with the estimated axes and positions of the joints, and (J,) their zeros, rad or m, to be added to
+        the readings.
+    """
+    change, zeros = ChainChange(), np.zeros(len(chain.joints))
+    for row in joint_constants(chain):
+        value, effect = values.get(row.name, 0.0), row.effect
+        if value and isinstance(effect, ChainEffect):
+            effect.add(change, value)
+        elif isinstance(effect, JointReading) and effect.error == "zero":
+            zeros[effect.joint] = value
+    return change.apply(chain), zeros
 
 
 def with_priors(rows: Iterable[Constant], sigmas: Mapping[str, float]) -> Iterator[Constant]:

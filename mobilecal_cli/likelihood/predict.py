@@ -7,8 +7,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from mobilecal_cli import se3
 from mobilecal_cli.camera import project, project_with_jacobian
-from mobilecal_cli.likelihood.constants import PATTERNS, camera_change, table
+from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.likelihood.constants import PATTERNS, camera_change, corrected_chain, table
 from mobilecal_cli.likelihood.effects import INTRINSICS, CameraEffect, Clock, FloorEffect
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import AtWork, CameraRig, FloatArray, HeadChain, Parameters, Solution
@@ -47,6 +49,25 @@ def in_base(lin: Posterior) -> FloatArray:
     for effect in (FloorEffect, Clock):
         poses[:, :, [column for column, _, _ in lin.data.layout.of(effect)]] = 0.0
     return poses
+
+
+def camera_in_base(chain: HeadChain, constants: Mapping[str, float], T_h_c: FloatArray) -> FloatArray:
+    """(4, 4) T_v_c of a camera where all joints read zero, with the corrections of the head chain.
+
+    Args:
+        chain: as stated.
+        constants: name → estimated difference from the stated value.
+        T_h_c: (4, 4) head-eye transform.
+    """
+    improved, zeros = corrected_chain(chain, constants)
+    return np.asarray(head_pose(improved, zeros) @ T_h_c)
+
+
+def off_as_stated(chain: HeadChain, constants: Mapping[str, float], T_h_c: FloatArray) -> tuple[float, float]:
+    """How far the camera is elsewhere in the base, rad and m, without the corrections of the head chain."""
+    stated, corrected = (camera_in_base(chain, values, T_h_c) for values in ({}, constants))
+    off = se3.inverse(stated) @ corrected
+    return float(np.linalg.norm(se3.log_so3(off[:3, :3]))), float(np.linalg.norm(off[:3, 3]))
 
 
 def weights_of(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatArray]:

@@ -11,7 +11,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, ReadOnly
 from mobilecal_cli.model.observations import LogSource
-from mobilecal_cli.model.rig import AssumedOdometry, Side, WheelGeometry
+from mobilecal_cli.model.rig import AssumedOdometry, HeadChain, Side, WheelGeometry
 
 NINE = ("r_x", "r_y", "r_z", "t_x", "t_y", "t_z", "radius_right", "radius_left", "separation")
 WHEEL_WORDS = ("right wheel radius", "left wheel radius", "wheel separation")
@@ -90,6 +90,9 @@ class CalibratedRobot(ReadOnly):
         rectified: whether it was made from rectified images, so that the child is the rectified optical frame.
         constants: estimated constants of the robot description → their difference from the stated value, in rad, m, s
             or as a share; None if the file does not contain them.
+        constants_std: their standard deviations, in the same units.
+        chain: the head chain as it was stated, without mimic joints' factors; None if the file does not contain it.
+        cameras_sha256: `CameraRig.digest` of the cameras as they were stated; "" if the file does not contain it.
         verdict: "PASS", "FAIL", "NOT ENOUGH" or "GATE FAILED"; "" if the file does not state it.
         reasons: why the verdict is not PASS, whole sentences.
     """
@@ -108,6 +111,9 @@ class CalibratedRobot(ReadOnly):
     head_joints: tuple[str, ...] = ()
     rectified: bool = False
     constants: Mapping[str, float] | None = None
+    constants_std: Mapping[str, float] = field(default_factory=dict)
+    chain: HeadChain | None = None
+    cameras_sha256: str = ""
     verdict: str = ""
     reasons: tuple[str, ...] = ()
 

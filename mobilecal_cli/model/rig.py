@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
@@ -114,6 +115,17 @@ class CameraRig(ReadOnly):
     def of_reference(self) -> Camera:
         """The camera of the head-eye transform."""
         return self.each[self.names.index(self.reference)]
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the cameras' numbers, to nine digits; as stated, they are those of one description."""
+        numbers = [
+            self.T_c_each,
+            self.R_rect,
+            *(array for camera in self.each for array in (camera.K, camera.D)),
+        ]
+        texts = (f"{value + 0.0:.9g}" for array in numbers for value in np.ravel(array).tolist())
+        return hashlib.sha256(" ".join(texts).encode()).hexdigest()
 
     @property
     def baseline_m(self) -> float | None:

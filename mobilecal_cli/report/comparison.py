@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mobilecal_cli.comparison import Difference, History, difference, nine_apart
+from mobilecal_cli.comparison import UNLIKELY, Difference, History, difference, nine_apart
 from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
 from mobilecal_cli.model.text import listed, visible, wrapped
@@ -17,8 +17,6 @@ from mobilecal_cli.report.formats import NumberRow, Table, json_text
 from mobilecal_cli.report.numbers import PARAMETERS, decimals_of, parameters_of, percent_text, std_text
 from mobilecal_cli.report.svg import Axes, Canvas, Scale, standalone
 
-#: Significance level.
-_UNLIKELY = 0.01
 _MOST_LABELS = 20  # names of calibrations below a plot
 _WIDE, _HIGH = 300.0, 210.0  # of the plot of one parameter
 
@@ -142,6 +140,7 @@ def comparison_json(comparison: Comparison) -> str:
                 "changed": changed(each),
                 "share_a_recording": each.shared,
                 "unobservable": dict(zip(NINE, each.unobservable.tolist(), strict=True)),
+                "head_chain_sigmas": each.moved_joints,
                 **{key: value for key, _, value, _ in effects(each)},
             }
             for each in comparison.differences
@@ -164,13 +163,21 @@ def effects(difference: Difference) -> tuple[tuple[str, str, float, str], ...]:
 
 def changed(difference: Difference) -> bool | None:
     """Whether the robot has changed, or one of the calibrations is wrong; None where that is unknown."""
-    return None if difference.chance is None else difference.chance < _UNLIKELY
+    if difference.moved_joints:
+        return True
+    return None if difference.chance is None else difference.chance < UNLIKELY
 
 
 def conclusion(difference: Difference, first: str, second: str) -> str:
     """Whether the second calibration differs from the first, how much at most, and how certain that is."""
     hidden = ", ".join(name for name, hides in zip(NINE, difference.unobservable, strict=True) if hides)
-    note = f" No conclusion about {hidden}: at least one calibration does not determine it." if hidden else ""
+    moved = (
+        f"{name} {difference.joints[name][0]:+.2g} {difference.joints[name][2]} ({abs(sigmas):.1f} sigma)"
+        for name, sigmas in difference.moved_joints.items()
+    )
+    note = f" The head chain changed: {', '.join(moved)}." if difference.moved_joints else ""
+    if hidden:
+        note += f" No conclusion about {hidden}: at least one calibration does not determine it."
     if difference.chance is None:
         unknown = "have no parameter that both determine with a standard deviation"
         return f"Unknown: {first} and {second} {unknown}.{note}"
@@ -188,7 +195,7 @@ def constancy(chance: float) -> str:
     """Whether a parameter changed over several calibrations, by the probability of such a spread by chance."""
     if not math.isfinite(chance):
         return "unknown in all but one calibration"
-    said = "changed" if chance < _UNLIKELY else "unchanged"
+    said = "changed" if chance < UNLIKELY else "unchanged"
     return f"{said} (probability by chance {percent_text(chance)})"
 
 

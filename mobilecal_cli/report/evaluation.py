@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mobilecal_cli import se3
 from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.likelihood.predict import camera_in_base
 from mobilecal_cli.model import (
     MOST_ERROR_PX,
     NINE,
@@ -21,7 +23,7 @@ from mobilecal_cli.model import (
     Evaluation,
     Extraction,
     FloatArray,
-    Parameters,
+    HeadChain,
     Solution,
 )
 from mobilecal_cli.model.text import capitalized, wrapped
@@ -57,22 +59,24 @@ class Evaluated:
         extraction: the recording's measurements.
         verdict: PASS, FAIL or NOT ENOUGH, with every check.
         used: names of the recordings that the calibration was made from.
+        left_out: notes on corrections of the calibration that do not apply to the recording, whole sentences.
     """
 
     evaluation: Evaluation
     extraction: Extraction
     verdict: Verdict
     used: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """A note if the calibration was made from some of the evaluated recordings, a whole sentence."""
+        """Notes if the calibration was made from some of the recordings, or does not apply in part; sentences."""
         if not self.used:
-            return ()
+            return self.left_out
         which = f"{', '.join(self.used)} {'was' if len(self.used) == 1 else 'were'}"
         if len(self.extraction.logs) == 1:
             which = "This recording was"
-        return (f"{which} used for this calibration: the errors below are not independent.",)
+        return (f"{which} used for this calibration: the errors below are not independent.", *self.left_out)
 
 
 def judge_evaluation(
@@ -101,7 +105,10 @@ def judge_evaluation(
         f"stations with the board in {extraction.rig.cameras.images_words}",
         "Record at least ten stations.",
     )
-    agreement = _unsolved(own) if isinstance(own, MobilecalError) else _agreement(robot, own, cure)
+    if isinstance(own, MobilecalError):
+        agreement = _unsolved(own)
+    else:
+        agreement = _agreement(robot, own, extraction.rig.chain, cure)
     checks = (enough_stations, _corner_error(evaluation, extraction, own), *agreement, *gates)
     for outcome in ("fail", "not_enough"):
         decisive = next((check for check in checks if check.outcome == outcome), None)
@@ -153,24 +160,46 @@ def _unsolved(error: MobilecalError) -> Iterator[Check]:
     )  # fmt: skip
 
 
-def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[Check]:
+def _apart(robot: CalibratedRobot, own: Solution, chain: HeadChain) -> tuple[FloatArray, FloatArray]:
+    """(9,) a calibration less a recording's own estimate, and its covariance (9, 9): rad, m.
+
+    The camera's pose is that in the base, where the corrections of the head chain count, as a right twist: rotation,
+    then translation. Of a camera that nothing tilts, without its height.
+    """
+    uncertainty = own.uncertainty
+    assert uncertainty is not None  # the default method always has one
+    found = {constant.name: constant.value for constant in own.constants.values()}
+    T_own = camera_in_base(chain, found, own.T_h_reference)
+    T_c_robot = se3.inverse(T_own) @ camera_in_base(chain, robot.constants or {}, robot.T_parent_child)
+    wheels = robot.wheels.vector - own.parameters.wheels.vector
+    apart = np.concatenate([se3.log_so3(T_c_robot[:3, :3]), T_c_robot[:3, 3], wheels])
+    by_first, by_head, seen = np.zeros((9, 6)), np.eye(9), np.eye(9)
+    by_first[:6] = se3.adjoint(se3.inverse(own.cameras.T_c_reference))
+    by_head[:3, :3] = by_head[3:6, 3:6] = robot.T_parent_child[:3, :3].T
+    covariance = by_first @ uncertainty.camera[:6, :6] @ by_first.T
+    covariance[6:, 6:] = uncertainty.covariance[6:, 6:]
+    if robot.knowledge is not None:
+        mine = by_head @ np.diag(robot.knowledge.observable.astype(np.float64))
+        covariance += mine @ robot.knowledge.covariance @ mine.T
+    if uncertainty.described.any():
+        upward = T_own[2, :3]
+        seen[3:6, 3:6] -= np.outer(upward, upward)
+    return seen @ apart, seen @ covariance @ seen
+
+
+def _agreement(robot: CalibratedRobot, own: Solution, chain: HeadChain, missing: str) -> Iterator[Check]:
     """Whether each quantity is that of the recording's own estimate; without those that no motion shows."""
     uncertainty = own.uncertainty
     assert uncertainty is not None  # the default method always has one
-    # Difference in deg, mm and percent, (9,), and its covariance, (9, 9).
-    estimate = Parameters(own.T_h_reference, own.parameters.wheels)
-    scales = np.array([*[180 / np.pi] * 3, *[1e3] * 3, *(100 / estimate.wheels.vector)])
-    change = Parameters(robot.T_parent_child, robot.wheels).minus(estimate) * scales
-    covariance = uncertainty.reference_covariance.copy()
-    if robot.knowledge is not None:
-        mine = np.diag(robot.knowledge.observable.astype(np.float64))
-        covariance += mine @ robot.knowledge.covariance @ mine
-    covariance *= np.outer(scales, scales)
-    for key, name, whole, limit, unit in _QUANTITIES:
+    change, covariance = _apart(robot, own, chain)
+    scales = np.array([*[180 / np.pi] * 3, *[1e3] * 3, *(100 / own.parameters.wheels.vector)])
+    change, covariance = change * scales, covariance * np.outer(scales, scales)
+    hidden = ~(uncertainty.observable | uncertainty.described)
+    # What no motion shows comes first: that is why the others are uncertain.
+    for key, name, whole, limit, unit in sorted(_QUANTITIES, key=lambda each: not hidden[each[2]].any()):
         if robot.odometry is not None and not key.startswith("camera"):
             name = f"{name} multiplier"  # nobody measured the wheels
-        part = np.arange(9)[whole][~uncertainty.described[whole]]
-        x, C = change[part], covariance[np.ix_(part, part)]
+        x, C = change[whole], covariance[whole, whole]
         size = float(np.linalg.norm(x))
         along = x / size if size > 0 else np.eye(len(x))[0]
         sigma, largest = float(np.sqrt(along @ C @ along)), float(np.sqrt(np.linalg.eigvalsh(C)[-1]))
@@ -179,7 +208,7 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
         value: float | None = size
         outcome: Outcome = "not_enough"
         why = cure = ""
-        if not uncertainty.observable[part].all():
+        if hidden[whole].any():
             value, measured = None, "unobservable"
             why = f"The {name} is unobservable in this recording."
             cure = f"{capitalized(missing or 'record more motion of base and head')}."

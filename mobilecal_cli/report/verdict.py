@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import NINE, Evaluation
+from mobilecal_cli.likelihood.predict import off_as_stated
+from mobilecal_cli.model import NINE, AtWork, Evaluation, HeadChain, Solution
 from mobilecal_cli.model.text import capitalized
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report.checks import EVALUATED
@@ -67,8 +68,20 @@ def verdict_of(case: Case) -> Verdict:
         if described:
             shown = capitalized(plain_names(described, case.extraction))
             reason += f" {shown} from the robot description: no motion shows it, and these errors do not include it."
-        next_step = "Use params.yaml on the robot."
+        next_step = _use(solution, solution.uncertainty.at_work, case.extraction.rig.chain)
     return Verdict("PASS", reason, next_step + _first(checks), checks)
+
+
+def _use(solution: Solution, at_work: AtWork, chain: HeadChain) -> str:
+    """How to use a result that passes: with the corrections of the head chain where they are more than the errors."""
+    values = {constant.name: constant.value for constant in solution.constants.values()}
+    turn_rad, shift_m = off_as_stated(chain, values, solution.parameters.T_h_c)
+    if turn_rad <= at_work.camera_rad and shift_m <= at_work.camera_m:
+        return "Use params.yaml on the robot."
+    return (
+        "Use params.yaml on the robot, also its corrections of the head chain (export --to urdf --with-chain): "
+        f"without them, the camera is {math.degrees(turn_rad):.2g} degrees and {1e3 * shift_m:.2g} mm elsewhere."
+    )
 
 
 def _first(checks: Iterable[Check]) -> str:

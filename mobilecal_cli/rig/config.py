@@ -29,7 +29,9 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, mapping_of, problem_of, read_text
 from mobilecal_cli.model import (
     Board,
+    FixedLink,
     FloatArray,
+    JointLink,
     Markers,
     Nominal,
     Side,
@@ -371,6 +373,14 @@ class ChainLink(_Section):
         if self.axis is not None and math.hypot(*self.axis) < 1e-6:
             raise ValueError("axis has zero length")
         return self
+
+    @property
+    def stated(self) -> FixedLink | JointLink:
+        """The link as a value."""
+        if self.joint is not None and self.axis is not None:
+            return JointLink(self.joint, np.array(self.axis) / math.hypot(*self.axis), self.kind)
+        rotation = se3.from_rpy(np.array(self.rpy_rad or (0, 0, 0)))
+        return FixedLink(se3.transform(rotation, np.array(self.xyz_m or (0, 0, 0))))
 
 
 class HeadConfig(_Section):

@@ -29,7 +29,7 @@ from mobilecal_cli.model import (
     listed,
 )
 from mobilecal_cli.ranges import POSITION
-from mobilecal_cli.rig.config import ChainLink, RigConfig
+from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.names import (
     HEAD_WORDS,
     PAN_WORDS,
@@ -89,7 +89,7 @@ def head_of(
         )
         base = config.head.base_frame or "base_link"
         head = config.head.head_frame or ("head_link" if config.head.chain else base)
-        chain = HeadChain(base, head, tuple(_chain_link(link) for link in config.head.chain), pan, tilt)
+        chain = HeadChain(base, head, tuple(link.stated for link in config.head.chain), pan, tilt)
         _check_configured(config, chain)
         return Head(chain, None, Nominal(), wheels, "head.chain of the configuration", ())
     origin, notes = "head.urdf of the configuration", []
@@ -160,14 +160,6 @@ def _moving_transforms(description: RobotDescription, camera_frame: str) -> Urdf
             "drafts it",
         )
     return urdf
-
-
-def _chain_link(link: ChainLink) -> FixedLink | JointLink:
-    if link.joint is not None and link.axis is not None:
-        axis = np.array(link.axis)
-        return JointLink(link.joint, axis / math.hypot(*link.axis), link.kind)
-    rotation = se3.from_rpy(np.array(link.rpy_rad or (0, 0, 0)))
-    return FixedLink(se3.transform(rotation, np.array(link.xyz_m or (0, 0, 0))))
 
 
 def _base_of(config: RigConfig, urdf: Urdf, camera_frame: str) -> str:

@@ -90,7 +90,9 @@ class Constraints:
             lacking = {flag: [name for name in names if name in own] for flag, names in relative.items()}
             if any(lacking.values()):
                 rotations = {*lacking["--fix"], *lacking["--prior"]} & {*NINE[:3]}
-                given = [f"{flag} {name}" for flag, names in lacking.items() for name in _in_groups(flag, names)]
+                given = [
+                    f"{flag} {name}" for flag, names in lacking.items() for name in _in_groups(flag, names)
+                ]
                 raise ConfigError(
                     f"{', '.join(given)}: relative to {key}, which is not known",
                     f"set {key} in rig.yaml{'' if rotations else ', or give values: --fix NAME=VALUE'}",

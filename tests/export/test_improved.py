@@ -1,5 +1,6 @@
 """Improved cameras and head chains, exported and read back by parsers that are not ours."""
 
+import re
 from dataclasses import replace
 
 import cv2
@@ -9,17 +10,19 @@ import yaml
 import yourdfpy
 
 from mobilecal_cli import se3
+from mobilecal_cli.calibrate.evaluate import evaluate
 from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.formats.urdf import patched_urdf
-from mobilecal_cli.export.improved import improved_chain, without_correction
+from mobilecal_cli.export.improved import improved_cameras, improved_chain, without_correction
 from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf
 from mobilecal_cli.likelihood.constants import camera_change, table
 from mobilecal_cli.model import Camera, EstimatedConstant, HeadChain, LensCorrection, LogSource
+from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.targets import Target
@@ -48,18 +51,21 @@ def calibrated(request, tmp_path_factory):
     }
     solution = replace(solve(extraction, "linear"), uncertainty=small_uncertainty(), constants=constants)
     directory = tmp_path_factory.mktemp(request.param)
-    text = params_of(solution, extraction, "PASS")
+    text = params_of(solution, extraction, "PASS", config=settings_of(extraction))
     (directory / "params.yaml").write_text(text, encoding="utf-8")
     (directory / "extraction.npz").write_bytes(extraction_to_npz(extraction))
     (directory / "robot.urdf").write_text(urdf_text(described), encoding="utf-8")
     return described, extraction, solution, directory / "params.yaml"
 
 
+def values_of(solution):
+    return {name: found.value for name, found in solution.constants.items()}
+
+
 def fitted_cameras(extraction, solution):
     """The stereo pair of the fit, lens corrections included."""
     rig = extraction.rig
-    values = {name: found.value for name, found in solution.constants.items()}
-    return camera_change(rig.cameras, table(rig.cameras, rig.chain), values).apply(rig.cameras)
+    return camera_change(rig.cameras, table(rig.cameras, rig.chain), values_of(solution)).apply(rig.cameras)
 
 
 def over_the_image(camera):
@@ -123,7 +129,7 @@ def test_the_urdf_with_the_chain_moves_as_the_fitted_head(calibrated, tmp_path):
     path = tmp_path / "calibrated.urdf"
     path.write_bytes(made.content)
     reader = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=True)
-    chain = improved_chain(extraction.rig, {name: found.value for name, found in solution.constants.items()})
+    chain = improved_chain(extraction.rig.chain, values_of(solution))
     limits = [joint.limit_rad for joint in described.joints if joint.name]
     readings = np.random.default_rng(1).uniform(-1, 1, (20, len(limits))) * limits
     zeros = np.array([chain.zeros.get(name, 0.0) for name in chain.improved.joints])
@@ -144,12 +150,55 @@ def test_the_urdf_with_the_chain_moves_as_the_fitted_head(calibrated, tmp_path):
 def test_the_urdf_without_the_chain_says_so(calibrated):
     described, _, _, params = calibrated
     made = export(params, Target.urdf, urdf=params.with_name("robot.urdf"))
-    assert any("The head chain is unchanged. --with-chain" in note for note in made.notes)
+    assert any("This is without the corrections of the head chain" in note for note in made.notes)
     drawn, kept = (parse_urdf(text) for text in (urdf_text(described), made.content.decode()))
     for joint in described.joints:
         if joint.name:
             before, after = (urdf.joints[joint.name].T_parent_child for urdf in (drawn, kept))
             assert before == pytest.approx(after)
+
+
+def test_exports_without_the_chain_say_how_far_the_camera_is_off(calibrated):
+    _, extraction, solution, params = calibrated
+    chain = extraction.rig.chain
+    improved = improved_chain(chain, values_of(solution))
+    zeros = np.array([improved.zeros[name] for name in chain.joints])
+    before, after = (
+        head_pose(of, at) @ solution.parameters.T_h_c
+        for of, at in ((chain, 0 * zeros), (improved.improved, zeros))
+    )
+    off = se3.inverse(before) @ after
+    deg, mm = np.degrees(np.linalg.norm(se3.log_so3(off[:3, :3]))), 1e3 * np.linalg.norm(off[:3, 3])
+    for target in (Target.static_transform_yaml, Target.static_transform_launch, Target.xacro, Target.json):
+        made = export(params, target)
+        (note,) = [note for note in made.notes if "corrections of the head chain" in note]
+        assert f"{deg:.2g} degrees and {mm:.2g} mm elsewhere" in note
+        assert target is Target.json or note in made.content.decode()
+
+
+def test_a_description_that_was_corrected_is_not_corrected_again(calibrated, tmp_path):
+    """The errors grew by what was corrected, on a recording of the robot with the exported URDF or camera infos."""
+    _, extraction, solution, params = calibrated
+    rig, path = extraction.rig, tmp_path / "extraction.npz"
+    urdf = export(params, Target.urdf, urdf=params.with_name("robot.urdf"), with_chain=True).content
+    links = chain_links(parse_urdf(urdf.decode()), rig.chain.base_frame, rig.chain.head_frame)
+    written = {
+        "": rig,
+        "head chain is": replace(rig, chain=replace(rig.chain, links=links)),
+        "camera infos are": replace(rig, cameras=improved_cameras(rig, values_of(solution))[0]),
+    }
+    errors = {}
+    for words, corrected in written.items():
+        path.write_bytes(extraction_to_npz(replace(extraction, rig=corrected)))
+        result = evaluate([path], params)
+        errors[words] = result.evaluation.rotation_rad
+        assert [words in note for note in result.left_out] == [True] * bool(words)
+    assert errors["head chain is"] == pytest.approx(errors[""], abs=5e-5)
+    older = params.with_name("older.yaml")  # states no cameras: corrected twice
+    older.write_text(re.sub(" *cameras_sha256.*", "", params.read_text("utf-8")), "utf-8")
+    twice = evaluate([path], older).evaluation.rotation_rad
+    once, again = (np.abs(each - errors[""]).max() for each in (errors["camera infos are"], twice))
+    assert 3 * once < again
 
 
 def test_older_calibrations_have_no_improved_cameras(calibrated, tmp_path):
@@ -220,7 +269,7 @@ def test_sliding_and_coupled_joints():
     rig = replace(rig_of(ROBOTS["tick"]()), chain=chain)
     names = [row.name for row in table(rig.cameras, chain) if row.kind.startswith("joint_")]
     values = dict(zip(names, np.linspace(-0.004, 0.005, len(names)), strict=True))
-    improved = improved_chain(rig, values)
+    improved = improved_chain(rig.chain, values)
     content = patched_urdf(MIMIC, robot(), {}, improved).content
     made = parse_urdf(content.decode())
     readings = np.array([[0.2, -0.7], [0.5, 0.4]])

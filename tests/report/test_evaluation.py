@@ -66,6 +66,17 @@ def test_another_recording_of_the_same_robot_passes(tmp_path, solved):
     assert found.level == "PASS", found.reason
 
 
+def test_a_head_joint_whose_zero_moved_fails(tmp_path, monkeypatch):
+    """The nine are the same: the camera is elsewhere in the base. It was PASS, "use params.yaml on the robot"."""
+    own, made = calibrated(1)
+    moved = replace(own.constants["pan_zero"], value=own.constants["pan_zero"].value + np.radians(1.5))
+    own = replace(own, constants={**own.constants, "pan_zero": moved})
+    monkeypatch.setattr("mobilecal_cli.calibrate.evaluate.solve", lambda _: own)
+    found = verdict(tmp_path, *calibrated(0), made)
+    assert found.level == "FAIL"
+    assert found.reason.startswith("The camera rotation differs from this recording by 1.")
+
+
 @pytest.mark.long
 def test_another_recording_passes_with_its_own_solution(tmp_path):
     found = verdict(tmp_path, *calibrated(2), extraction(0))
@@ -133,7 +144,7 @@ def test_a_short_recording_is_not_enough(tmp_path):
     ("change", "says"),
     [
         (
-            lambda s: with_uncertainty(s, reference_covariance=400 * s.uncertainty.reference_covariance),
+            lambda s: with_uncertainty(s, camera=400 * s.uncertainty.camera),
             "This recording gives the camera rotation to ",
         ),
         (

@@ -509,7 +509,9 @@ def test_an_unevenness_of_the_floor_is_told():
     solution, extraction = drawn()
     verdict = judge(with_noise(solution, floor_rad=np.radians(0.5)), extraction)
     assert verdict.level == "PASS"
-    assert verdict.next_step == "Use params.yaml on the robot."
+    assert verdict.next_step.startswith(
+        "Use params.yaml on the robot, also its corrections of the head chain"
+    )
     assert verdict.check("noise.floor").measured_text == "0.5 degrees"
     rows = rows_of(made(solution, extraction), "limits", "Measurement noise")
     assert rows["floor: roll and pitch under the base"][1] == "deg"

@@ -8,6 +8,7 @@ in docs/reference/cli.md (`make docs`) read the files of this directory.
 from __future__ import annotations
 
 import inspect
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from pathlib import Path
 from mobilecal_cli import se3
 from mobilecal_cli.export.scene import Scene
 from mobilecal_cli.export.text import comment, rendered
+from mobilecal_cli.likelihood.predict import off_as_stated
 from mobilecal_cli.model import NINE, CalibratedRobot, Extraction
 from mobilecal_cli.model.text import visible
 
@@ -86,6 +88,20 @@ def rectified_note(robot: CalibratedRobot) -> tuple[str, ...]:
     return (frame_note(robot),) if robot.rectified else ()
 
 
+def chain_note(robot: CalibratedRobot) -> tuple[str, ...]:
+    """How far the camera is off where the head-eye transform is used without the corrections of the head chain."""
+    if robot.chain is None or not robot.constants:
+        return ()
+    turn_rad, shift_m = off_as_stated(robot.chain, robot.constants, robot.T_parent_child)
+    deg, mm = f"{math.degrees(turn_rad):.2g}", f"{1e3 * shift_m:.2g}"
+    if deg == mm == "0":
+        return ()
+    return (
+        f"This is without the corrections of the head chain, without which the camera is {deg} degrees and {mm} mm "
+        "elsewhere on the robot: the format urdf writes them into the URDF (with-chain).",
+    )
+
+
 def verdict_note(robot: CalibratedRobot) -> tuple[str, ...]:
     """What a reader of an export has to know: a verdict other than PASS, its reasons, unobservable parameters."""
     lines: tuple[str, ...] = ()
@@ -116,17 +132,17 @@ def with_verdict(content: bytes, robot: CalibratedRobot) -> bytes:
 
 def of_head_eye(robot: CalibratedRobot, template: str, **values: str) -> Exported:
     """A text with the frames of the head-eye transform, from its template."""
-    T = robot.T_parent_child
+    T, notes = robot.T_parent_child, (frame_note(robot), *chain_note(robot))
     text = rendered(
         template,
         robot=robot,
-        about=f"{CONVENTION} {frame_note(robot)}",
+        about=" ".join((CONVENTION, *notes)),
         convention=CONVENTION,
-        frame_note=frame_note(robot),
+        notes=notes,
         translation_m=T[:3, 3].tolist(),
         quaternion_xyzw=se3.quaternion_xyzw(T[:3, :3]).tolist(),
         rpy_rad=se3.to_rpy(T[:3, :3]).tolist(),
         factors=robot.factors,
         **values,
     )
-    return Exported(text.encode(), rectified_note(robot))
+    return Exported(text.encode(), (*chain_note(robot), *rectified_note(robot)))

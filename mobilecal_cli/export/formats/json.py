@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.export.formats import CONVENTION, Exported, Source, rectified_note
+from mobilecal_cli.export.formats import CONVENTION, Exported, Source, chain_note, rectified_note
 from mobilecal_cli.export.params import names_and_units
 
 
@@ -39,4 +39,4 @@ def export(of: Source) -> Exported:
         "created": robot.created,
     }
     text = json.dumps(data, indent=1, allow_nan=False) + "\n"
-    return Exported(text.encode(), rectified_note(robot), states_verdict=True)
+    return Exported(text.encode(), (*chain_note(robot), *rectified_note(robot)), states_verdict=True)

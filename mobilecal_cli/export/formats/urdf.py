@@ -11,7 +11,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import Exported, Source, frame_note, rectified_note
+from mobilecal_cli.export.formats import Exported, Source, chain_note, frame_note, rectified_note
 from mobilecal_cli.export.improved import ImprovedChain, improved_chain, joint_origins
 from mobilecal_cli.export.text import attribute, comment
 from mobilecal_cli.files.reading import read_bytes
@@ -53,7 +53,7 @@ def export(
                 f"{of.params}: the head chain was not estimated",
                 "calibrate extraction.npz again with this version and --method ml, or omit --with-chain",
             )
-        chain = improved_chain(of.measurements().rig, robot.constants)
+        chain = improved_chain(of.measurements().rig.chain, robot.constants)
     if urdf is None:
         raise ConfigError("--to urdf changes an existing file", "give the URDF of the robot with --urdf")
     content = read_bytes(urdf, LARGEST_URDF_BYTES, "check the path after --urdf", "URDF")
@@ -62,11 +62,7 @@ def export(
     except ConfigError as error:
         raise ConfigError(f"{urdf}: {error.message.removeprefix('URDF: ')}", error.hint) from error
     notes = patched.notes
-    if chain is None and robot.constants:
-        notes += (
-            "The head chain is unchanged. --with-chain also writes its estimated joint axes, positions and zeros.",
-        )
-    notes += rectified_note(robot)
+    notes += (() if with_chain else chain_note(robot)) + rectified_note(robot)
     missing = " and ".join(side for side in SIDES if side not in joints)
     if kept:
         notes += (f"The wheels are unchanged: {kept}.",)
