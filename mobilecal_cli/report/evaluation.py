@@ -115,8 +115,11 @@ def judge_evaluation(
         if decisive is not None:
             return decided_by(decisive, checks)
     agreed = ", ".join(f"{c.name} {c.measured_text}" for c in checks if c.id.startswith("agreement."))
-    unused = "Evaluate a recording that was not used for this calibration."
-    next_step = unused if used else "Use params.yaml on the robot."
+    next_step = "Use params.yaml on the robot."
+    if robot.verdict not in ("PASS", ""):
+        next_step = " ".join((f"Calibrate again: this calibration is {robot.verdict}.", *robot.reasons[:1]))
+    elif used:
+        next_step = "Evaluate a recording that was not used for this calibration."
     return Verdict("PASS", f"The calibration agrees with this recording: {agreed}.", next_step, checks)
 
 

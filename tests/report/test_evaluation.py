@@ -14,7 +14,7 @@ from mobilecal_cli.export.params import params_yaml
 from mobilecal_cli.model import LogSource, Provenance, WheelGeometry, WheelTrack
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, simulated
-from tests.report.example import with_uncertainty
+from tests.report.example import params_of, with_uncertainty
 
 NOISE = Noise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.005, joint_rad=3e-4)
 
@@ -75,6 +75,18 @@ def test_a_head_joint_whose_zero_moved_fails(tmp_path, monkeypatch):
     found = verdict(tmp_path, *calibrated(0), made)
     assert found.level == "FAIL"
     assert found.reason.startswith("The camera rotation differs from this recording by 1.")
+
+
+def test_a_calibration_that_did_not_pass_is_not_to_be_used(tmp_path, solved):
+    """It agreed where it says something, and the next step was to use what export refuses."""
+    solution, made = calibrated(0)
+    (tmp_path / "params.yaml").write_text(
+        params_of(solution, made, "NOT ENOUGH", ["The separation is nominal."])
+    )
+    (tmp_path / "other.npz").write_bytes(extraction_to_npz(solved))
+    found = evaluate([tmp_path / "other.npz"], tmp_path / "params.yaml").verdict
+    assert found.level == "PASS"
+    assert found.next_step == "Calibrate again: this calibration is NOT ENOUGH. The separation is nominal."
 
 
 @pytest.mark.long
