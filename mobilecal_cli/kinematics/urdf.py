@@ -234,12 +234,13 @@ def chain_links(urdf: Urdf, base: str, head: str) -> tuple[FixedLink | JointLink
     return tuple(links)
 
 
-def vehicle_frame(left_m: FloatArray, right_m: FloatArray) -> FloatArray:
-    """T_base_v from wheel centers in base coordinates: origin midway, y from right to left, z up.
+def vehicle_frame(left_m: FloatArray, right_m: FloatArray, up: FloatArray) -> FloatArray:
+    """T_base_v from wheel centers and the floor's normal, (3,) each, in base coordinates.
 
-    The heading is perpendicular to the axle, because the wheels define the forward direction.
+    The origin is midway, y from right to left, z up. The heading is perpendicular to the axle, because the wheels
+    define the forward direction.
     """
     axle = left_m - right_m
-    y = np.array([axle[0], axle[1], 0.0]) / math.hypot(axle[0], axle[1])
-    z = np.array([0.0, 0.0, 1.0])
-    return se3.transform(np.stack([np.cross(y, z), y, z], axis=1), (left_m + right_m) / 2)
+    y = axle - (axle @ up) * up
+    y /= np.linalg.norm(y)
+    return se3.transform(np.stack([np.cross(y, up), y, up], axis=1), (left_m + right_m) / 2)

@@ -43,6 +43,8 @@ from mobilecal_cli.rig.wheels import WheelJoints, as_drawn, nominal_wheels, side
 
 #: A base link that is nearer to the place and the heading of the vehicle frame is this frame: rounding in a URDF.
 _MIDWAY_M, _AHEAD_DEG = 1e-6, 1e-4
+#: The frame on the floor under the base, if there is one (REP 120).
+FOOTPRINT = "base_footprint"
 #: A transform that changes by less is fixed; the transform of a fixed mount does not change at all.
 _STILL_RAD, _STILL_M = 2e-3, 5e-4
 #: A transform that deviates by more from the motion of a joint is not a joint.
@@ -169,7 +171,7 @@ def _base_of(config: RigConfig, urdf: Urdf, camera_frame: str) -> str:
     """
     if config.head.base_frame:
         return config.head.base_frame
-    usual = ("base_link", "base_footprint")
+    usual = ("base_link", FOOTPRINT)
     named = [link for name in usual for link in urdf.links if link.split("/")[-1] == name]
     if named:
         wheels = (joint.child for joint in urdf.joints.values() if is_wheel(joint.name))
@@ -256,23 +258,37 @@ def _vehicle_offset(
 ) -> tuple[list[FixedLink], list[str]]:
     """The link from the vehicle frame v to the base link, none if they are the same, and notes on it.
 
-    The vehicle frame lies midway between the wheels, with x perpendicular to the axle. If the URDF's base link
-    differs, the offset is computed from the origins of the wheel joints. Without these, it is as odometry shows it.
+    The vehicle frame lies midway between the wheels, with x perpendicular to the axle and z to the floor, on which
+    base_footprint stands. If the URDF's base link differs, the offset is computed from the origins of the wheel joints.
+    Without these, it is as odometry shows it.
     """
     links, notes, source = [], [], next(iter(sources.values()), None)
+    footprint = next((link for link in urdf.links if link.split("/")[-1] == FOOTPRINT), base)
+    T_base_floor = fixed_pose(urdf, base, footprint)
+    up = np.array([0.0, 0.0, 1.0]) if T_base_floor is None else T_base_floor[:3, 2]
+    leans_deg = math.degrees(math.acos(np.clip(up[2], -1.0, 1.0)))
+    if leans_deg >= _AHEAD_DEG:
+        notes.append(
+            f"The URDF's {base} leans by {leans_deg:.2f} degrees against {footprint}, which is on the floor."
+        )
     ahead_m = description.odometry_ahead_m
-    if not joints and ahead_m and source is not None:
-        frame = description.odometry_frames.get(source.topic, ("", base))[1]
-        T_frame_base = fixed_pose(urdf, frame, base)
-        T_v_frame = se3.transform(np.eye(3), np.array([ahead_m, 0.0, 0.0]))
-        links.append(FixedLink(T_v_frame if T_frame_base is None else T_v_frame @ T_frame_base))
-        notes.append(
-            "The robot description names no wheels. The vehicle frame is on the axle about which the odometry turns."
-        )
-    elif not joints and source is not None and source.baked_in is None:
-        notes.append(
-            f"The robot description names no wheels: {base} is taken as midway between them, with its x axis ahead."
-        )
+    if not joints:
+        left = np.array([0.0, 1.0, 0.0])
+        T_v_base = se3.inverse(vehicle_frame(left, -left, up))
+        if ahead_m and source is not None:
+            frame = description.odometry_frames.get(source.topic, ("", base))[1]
+            T_frame_base = None if frame == base else fixed_pose(urdf, frame, base)
+            T_v_frame = se3.transform(np.eye(3), np.array([ahead_m, 0.0, 0.0]))
+            T_v_base = T_v_frame @ (T_v_base if T_frame_base is None else T_frame_base)
+            notes.append(
+                "The robot description names no wheels. The vehicle frame is on the axle about which odometry turns."
+            )
+        elif source is not None and source.baked_in is None:
+            notes.append(
+                f"The robot description names no wheels: {base} is taken as midway between them, with its x axis ahead."
+            )
+        if not np.allclose(T_v_base, np.eye(4), rtol=0, atol=_MIDWAY_M):
+            links.append(FixedLink(T_v_base))
     if joints:
         unread = [name for source in sources.values() for name in source.unread or ()]
         if unread:
@@ -281,9 +297,9 @@ def _vehicle_offset(
                 "frame is midway between all wheels, and the base turns with slip. If they are casters, set "
                 "wheels.left.unread and wheels.right.unread to []."
             )
-        T_base_v = vehicle_frame(*side_centres(urdf, joints, base))
+        T_base_v = vehicle_frame(*side_centres(urdf, joints, base), up)
         shift, turn = T_base_v[:2, 3], math.degrees(math.atan2(T_base_v[1, 0], T_base_v[0, 0]))
-        if float(np.linalg.norm(shift)) >= _MIDWAY_M or abs(turn) >= _AHEAD_DEG:
+        if float(np.linalg.norm(shift)) >= _MIDWAY_M or max(abs(turn), leans_deg) >= _AHEAD_DEG:
             links.append(FixedLink(se3.inverse(T_base_v)))
             notes.append(
                 f"The URDF's {base} is not midway between the wheels. The vehicle frame is placed there, "

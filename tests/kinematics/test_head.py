@@ -82,7 +82,9 @@ def test_urdf_chain_and_what_it_lacks():
 
 def test_vehicle_frame_is_midway_between_the_wheels():
     urdf = parse_urdf(URDF)
-    T_base_v = vehicle_frame(*(urdf.pose("base_link", link)[:3, 3] for link in ("wheel_l", "wheel_r")))
+    T_base_v = vehicle_frame(
+        *(urdf.pose("base_link", link)[:3, 3] for link in ("wheel_l", "wheel_r")), np.array([0.0, 0, 1])
+    )
     assert T_base_v[:3, 3] == pytest.approx([-0.1, 0.05, 0])
     assert T_base_v[:3, :3] == pytest.approx(np.eye(3))
     links = (FixedLink(se3.inverse(T_base_v)), *chain_links(urdf, "base_link", "head"))

@@ -963,3 +963,20 @@ def test_named_cameras_stand_where_they_are_configured_or_drawn():
     assert rig.T_c_reference[:3, 3] == pytest.approx([0, 0, 0.5])
     with pytest.raises(ConfigError, match="not show the size of the board's squares"):
         camera_rig(infos, False, config(cameras=names), lambda frame, other: T)
+
+
+def test_a_base_link_that_leans_against_its_footprint():
+    """The floor was taken as that of base_link: the camera was turned by what this leans, with a PASS."""
+    onto_floor = '<joint name="lift" type="fixed"><parent link="base_footprint"/><child link="base_link"/>'
+    onto_floor += '<origin xyz="0 0 0.1" rpy="0 0.04 0"/></joint></robot>'
+    bare = re.sub('<joint name="wheel.*?</joint>', "", AT_BASE)
+    for urdf, height_m in (
+        (AT_BASE, 0.9),
+        (bare, 1.0),
+    ):  # of the head above the wheels' centers, and the base
+        rig, notes = resolve_rig(RigConfig(), description(urdf=urdf.replace("</robot>", onto_floor)))
+        assert rig.chain.base_frame == "base_link"
+        T = head_pose(rig.chain, np.zeros(2))
+        assert T[:3, :3] == pytest.approx(se3.from_rpy(np.array([0, 0.04, 0])))
+        assert T[:3, 3] == pytest.approx(height_m * np.array([np.sin(0.04), 0, np.cos(0.04)]))
+        assert any("base_link leans by 2.29 degrees against base_footprint" in note for note in notes)
