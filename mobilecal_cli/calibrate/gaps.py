@@ -11,7 +11,14 @@ from mobilecal_cli.kinematics import FEWEST_LEGS, unseen_height
 from mobilecal_cli.model import CLOCKS_DIFFER, Extraction
 from mobilecal_cli.report.motion import Gap, motion_gaps
 from mobilecal_cli.stations import NO_READINGS
-from mobilecal_cli.vision import AMBIGUOUS, OTHER_BOARDS, SECOND_BOARD, SQUARES_UNKNOWN, readable_words
+from mobilecal_cli.vision import (
+    AMBIGUOUS,
+    OTHER_BOARDS,
+    OTHER_MARKERS,
+    SECOND_BOARD,
+    SQUARES_UNKNOWN,
+    readable_words,
+)
 
 FEWEST_STATIONS = FEWEST_LEGS + 1  # in one recording
 
@@ -53,6 +60,10 @@ def require_stations(extraction: Extraction) -> None:
             f"set the number of the board's inner corners with --board: {extraction.board.columns} x "
             f"{extraction.board.rows} was used; keep other checkerboards out of view"
         )
+    if reason == OTHER_MARKERS:
+        said = next(item.detail for item in extraction.rejections if item.reason == reason)
+        said = said.partition("(")[2].partition(")")[0] or said
+        cure = f"correct the board in rig.yaml (columns, rows, dictionary, first_id, gap_share): {said}"
     if reason == SECOND_BOARD:
         cure = "cover or remove the other checkerboard: only one may be in view"
     if reason == SQUARES_UNKNOWN:

@@ -23,4 +23,11 @@ from mobilecal_cli.vision.pose import (
     triangulate,
 )
 from mobilecal_cli.vision.snapshot import snapshot_jpeg, thumbnail_jpeg
-from mobilecal_cli.vision.values import OTHER_BOARDS, SECOND_BOARD, Detection, Miss, StereoPoints
+from mobilecal_cli.vision.values import (
+    OTHER_BOARDS,
+    OTHER_MARKERS,
+    SECOND_BOARD,
+    Detection,
+    Miss,
+    StereoPoints,
+)

@@ -39,6 +39,7 @@ _LEAST_BLUR_PX, _MOST_BLUR_PX = 0.3, 4.0  # a pixel's own width, and that of hal
 _LEAST_PIXELS = 20  # of a corner near the image border, for seven unknowns
 _LEAST_CONTRAST_GREY = 4.0  # half of the step from dark to light; a lower contrast is no corner
 _LARGEST_MOVE = 0.15  # in units of the edge, from the result of cornerSubPix
+_OF_BLUR = 2.0  # times the blur is a marker's edge away
 _UNKNOWNS = 7
 _STEP_PX, _STEP_BLUR_PX = 1.0, 0.4  # largest step of a corner and of the blur in one iteration
 # One iteration leaves about 1/50 of the step (measured: 0.06 sigma of 3). After a step no longer than this,
@@ -165,7 +166,9 @@ class _Fit:
     contrast_grey: FloatArray
     sigma_grey: FloatArray
 
-    def __init__(self, image: GrayImage, grid: FloatArray, appearance: Appearance) -> None:
+    def __init__(
+        self, image: GrayImage, grid: FloatArray, appearance: Appearance, margin: float | None
+    ) -> None:
         self.shape = (grid.shape[0], grid.shape[1])
         self.pixels = grid.reshape(-1, 2)
         along, down = _steps(grid)
@@ -174,6 +177,7 @@ class _Fit:
         width = np.stack([area / np.hypot(*along.T), area / np.hypot(*down.T)], axis=1).astype(np.float32)
         limits = _reach(*self.shape, appearance.outer_whole) * width[:, :, None, None]
         self._lower, self._upper = limits[..., 0], limits[..., 1]
+        self._margin = None if margin is None else margin * width[:, :, None] - _OF_BLUR * appearance.blur_px
         extent = _INNER_REACH * float((np.abs(along) + np.abs(down)).max())
         half = min(max(int(np.ceil(extent)), _LEAST_HALF_PX), _MOST_HALF_PX)
         self._middle = np.rint(self.pixels).astype(np.int64)
@@ -197,6 +201,8 @@ class _Fit:
     def _choose_pixels(self, distance: Single) -> None:
         """Select the pixels used for the fit, and fill the constant columns."""
         near = (distance > self._lower) & (distance < self._upper)
+        if self._margin is not None:
+            near &= np.any(np.abs(distance) < self._margin, axis=1, keepdims=True)
         weight = self._columns[:, 4]
         weight[:] = near[:, 0] & near[:, 1] & self._inside
         self.used = weight.sum(axis=1).astype(np.float64)
@@ -276,19 +282,23 @@ def _inverse_2x2(matrices: FloatArray) -> FloatArray:
 
 
 @np.errstate(all="ignore")  # a wrong grid gives arbitrary values, and `fitted` marks them
-def fit_corners(image: GrayImage, grid: FloatArray, appearance: Appearance) -> FittedCorners:
+def fit_corners(
+    image: GrayImage, grid: FloatArray, appearance: Appearance, margin: float | None = None
+) -> FittedCorners:
     """Fit the corner model to every corner of a board.
 
     Args:
         image: (height, width) gray.
         grid: (rows, columns, 2) initial corners with sub-pixel accuracy, px.
         appearance: to start from; that of an earlier image, with its noise, saves one iteration.
+        margin: width of the part of each square along its edges beside which there is a marker, in squares; None for
+            squares without markers.
 
     Returns:
         Corner index = row * columns + column. A corner keeps its initial position and is marked as not fitted
         if its fit does not converge, moves too far or has too few pixels.
     """
-    fit = _Fit(image, grid, appearance)
+    fit = _Fit(image, grid, appearance, margin)
     for done in range(1, _MOST_ROUNDS + 1):
         fit.round()
         variance = (fit.cov[:, 0, 0] + fit.cov[:, 1, 1]) / 2

@@ -21,6 +21,7 @@ Reason = Literal[
     "corners not on a regular grid",
     "second board in view",
     "board of a different size",
+    "markers not as stated",
     "left and right images inconsistent",
     "no pose of the board",
 ]
@@ -30,6 +31,8 @@ OCCLUDED: Final = "board partly occluded or outside the image"
 INCONSISTENT: Final = "left and right images inconsistent"
 #: Of images that show a checkerboard with other numbers of corners.
 OTHER_BOARDS: Final = ("board extends beyond the grid", "board of a different size")
+#: Of images whose markers are read, but are arranged in another way.
+OTHER_MARKERS: Final = "markers not as stated"
 #: Of images that show two boards of the same size.
 SECOND_BOARD: Final = "second board in view"
 #: For arrays where single precision is enough.

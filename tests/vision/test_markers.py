@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -148,3 +149,58 @@ def test_one_wrong_corner_among_many_is_left_out():
     found = detected(find_board(spoiled, board))
     error = np.linalg.norm((found.pixels - truth)[found.seen], axis=1)
     assert error.max() < 1.5
+
+
+@pytest.mark.parametrize("look", ["whole", "near"])
+def test_corners_between_markers_lean_on_none_of_them(look):
+    """OpenCV's were too near to the middle of the board, by 0.1 % of its size, and 0.1 px off."""
+    board, made = views("charuco", centred("charuco", *LOOKS[look]))
+    for image, truth in made:
+        found = detected(find_board(image, board))
+        error = (found.pixels - truth)[found.seen]
+        assert np.sqrt(np.mean(error**2)) < 0.03
+        away = (truth - truth[found.seen].mean(axis=0))[found.seen]
+        assert abs(np.sum(away * error) / np.sum(away**2)) < 1e-4
+        whitened = np.linalg.solve(np.linalg.cholesky(found.cov[found.seen]), error[..., None])
+        assert 0.7 < np.sqrt(np.mean(whitened**2)) < 2.5  # the noise level is estimated
+
+
+@pytest.mark.parametrize("share", [0.6, 0.75, 0.9])
+def test_markers_of_another_size_than_stated(share):
+    board = PRINTED["charuco"]
+    stated = replace(board, markers=replace(board.markers, share=share))
+    _, ((image, truth), _) = views("charuco", centred("charuco", *LOOKS["near"]))
+    found = detected(find_board(image, stated))
+    assert np.sqrt(np.mean((found.pixels - truth)[found.seen] ** 2)) < 0.04
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+def test_the_pattern_of_earlier_versions_of_opencv(legacy):
+    """Of an even number of rows of squares, another corner is white."""
+    board = Board(8, 5, 0.08, Markers("charuco", "DICT_5X5_50", 0.75))
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
+    drawn = cv2.aruco.CharucoBoard((9, 6), 1.0, 0.75, dictionary)
+    drawn.setLegacyPattern(legacy)
+    image = cv2.GaussianBlur(drawn.generateImage((540, 360), None, 0, 1), (0, 0), 0.7)
+    image = cv2.copyMakeBorder(image, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255)
+    found = detected(find_board(image, board))
+    assert found.seen.all()
+    assert found.pixels - found.pixels[0] == pytest.approx(60.0 * board.grid()[:, :2], abs=0.1)
+    other = missed(find_board(image, replace(board, columns=5, rows=8)))
+    assert other.reason == "markers not as stated"
+    assert "27 markers of DICT_5X5_50 are read, but not where a board of 5 x 8" in other.detail
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"gap": 0.25}, "the gap between tags is 0.3"),
+        ({"columns": 7, "rows": 9}, "are read, but not in the stated columns and rows"),
+    ],
+)
+def test_tags_that_are_arranged_otherwise(changed, says):
+    board, made = views("aprilgrid", centred("aprilgrid", *LOOKS["whole"]))
+    markers = replace(board.markers, share=changed.pop("gap", board.markers.share))
+    found = missed(find_board(made[0][0], replace(board, markers=markers, **changed)))
+    assert found.reason == "markers not as stated"
+    assert says in found.detail
