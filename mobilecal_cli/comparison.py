@@ -33,6 +33,7 @@ class Difference(ReadOnly):
         std: (9,) standard deviation of `change` for independent recordings; 0 where `known` is false.
         known: (9,) whether the parameter can be compared: both determine it, with a standard deviation.
         unobservable: (9,) whether the parameter is unobservable in one of them.
+        both_nominal: (9,) whether it is in both, and keeps the same nominal value.
         nominal_sigmas: (9,) change of the unobservable parameters in standard deviations, which are then those of
             nominal values; 0 for the others.
         chi2: squared Mahalanobis distance of the known parameters; None if there are none.
@@ -51,6 +52,7 @@ class Difference(ReadOnly):
     std: Annotated[FloatArray, 9]
     known: Annotated[BoolArray, 9]
     unobservable: Annotated[BoolArray, 9]
+    both_nominal: Annotated[BoolArray, 9]
     nominal_sigmas: Annotated[FloatArray, 9]
     chi2: float | None
     chance: float | None
@@ -129,6 +131,7 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
         std=std,
         known=known,
         unobservable=unobservable,
+        both_nominal=first.unobservable & second.unobservable & (change == 0),
         nominal_sigmas=np.where(fixed, np.abs(change) / np.where(fixed, every_std, 1.0), 0.0),
         chi2=chi2,
         chance=chance,
@@ -200,7 +203,7 @@ def broken_limits(
     if max_sigma is not None:
         if not change.known.any():
             broken.append("no standard deviations for the limit in sigma")
-        blind = np.flatnonzero(change.unobservable)
+        blind = np.flatnonzero(change.unobservable & ~change.both_nominal)
         broken += [f"no conclusion about {NINE[k]}: unobservable or fixed" for k in blind]
         sigmas = np.nan_to_num(np.abs(change.sigmas))
         worst = int(np.argmax(sigmas))

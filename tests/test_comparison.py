@@ -21,7 +21,13 @@ from mobilecal_cli.model import (
     Nominal,
     WheelGeometry,
 )
-from mobilecal_cli.report.comparison import Comparison, change_from_nominal, comparison_json, comparison_text
+from mobilecal_cli.report.comparison import (
+    Comparison,
+    change_from_nominal,
+    change_since,
+    comparison_json,
+    comparison_text,
+)
 
 WHEELS = WheelGeometry(0.1, 0.1, 0.5)
 STD = np.array([1e-3, 1e-3, 1e-3, 2e-3, 2e-3, 2e-3, 1e-4, 1e-4, 5e-4])
@@ -60,6 +66,14 @@ def test_by_hand():
     assert found.heading_rad_per_turn == pytest.approx(2 * math.pi * 0.01)
 
 
+def test_a_height_that_both_have_from_the_description_did_not_change():
+    """No camera without a tilt could pass a limit in sigma, not even against itself."""
+    nominal = robot(observable=(True,) * 5 + (False,) + (True,) * 3)
+    assert broken_limits(difference(nominal, nominal), 5) == []
+    shown = robot(se3.transform(np.eye(3), np.array([0, 0, 1e-3])))
+    assert broken_limits(difference(nominal, shown), 5) == ["no conclusion about t_z: unobservable or fixed"]
+
+
 def with_chain(zero_rad, std_rad=0.002, height_m=0.1):
     """A calibration whose head pans 1 m above the base; the tilt follows `height_m` above it."""
     links = (
@@ -81,8 +95,11 @@ def test_a_head_joint_whose_zero_moved():
     assert found.moved_joints == {"pan_zero": pytest.approx(sigmas)}
     assert found.ray_m == pytest.approx(2 * 2 * math.sin(0.01))
     text = comparison_text(Comparison(("a", "b"), (robot(), robot()), (found,), None))
-    assert " ".join(text.split()).startswith("Changed: from a to b, largest change 0.0 sigma")
-    assert f"The head chain changed: pan_zero +1.1 deg ({sigmas:.1f} sigma)." in " ".join(text.split())
+    said = f"Changed: from a to b, in the head chain, pan_zero +1.1 deg ({sigmas:.1f} sigma); of the nine parameters,"
+    assert " ".join(text.split()).startswith(f"{said} largest change 0.0 sigma")
+    other = replace(with_chain(0.001), head_joints=("lift_joint",))
+    with pytest.raises(ConfigError, match="its head has the joints lift_joint, the recording's pan_joint"):
+        change_since(replace(with_chain(0.001), head_joints=("pan_joint",)), other, "last.yaml")
     assert broken_limits(found, max_sigma=5.0) == [f"pan_zero by {sigmas:.1f} sigma (limit 5)"]
     assert not difference(with_chain(0.001), with_chain(0.008)).moved_joints
     # Corrected in the URDF meanwhile: the constants count from another chain.

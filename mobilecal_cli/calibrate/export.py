@@ -192,17 +192,17 @@ def _scene(
     parameters = parameters_of(robot, extraction, params)
     outliers, used_legs = _judged(params.with_name("report.json"), report)
     shown = at_constants(extraction, parameters, constants)
-    residuals, pairs = residuals_of(shown, parameters), shown.pairs
+    residuals = residuals_of(shown, parameters)
     images = _images(extraction, logs) if logs else {}
     return Scene(
         robot=robot,
         extraction=extraction,
         motions={
-            log: _motion(extraction, log, robot, constants, residuals, pairs.T_v_h)
+            log: _motion(extraction, log, robot, constants, residuals, shown.pairs.T_v_h)
             for log in sorted({o.log for o in extraction.observations})
         },
         residuals=residuals,
-        T_w_c=residuals.T_w_v @ pairs.T_v_h @ parameters.T_h_c,
+        T_w_c=residuals.T_w_c,
         legs={
             i: k
             for k, (i, j) in enumerate(residuals.legs.tolist())

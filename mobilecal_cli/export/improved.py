@@ -153,13 +153,18 @@ def joint_origins(urdf: Urdf, chain: ImprovedChain) -> Iterator[tuple[str, Float
 def _check(names: Sequence[str], drawn: HeadChain, chain: HeadChain) -> None:
     """Compare the joints of a URDF with those of the chain, and the transforms between them.
 
-    The first transform may differ: the chain starts between the wheels, the URDF at its base link.
+    The first transform may differ: the chain starts between the wheels, by its first link, the URDF at its base link.
     """
     own, known = joint_frames(drawn)[0], joint_frames(chain)[0]
+    from_base = joint_frames(replace(chain, links=chain.links[1:]))[0]
     for number, (name, (link, T), (other, T_known)) in enumerate(zip(names, own, known, strict=False)):
         same = all(getattr(link, field) == getattr(other, field) for field in _COMPARED)
         same = same and np.allclose(link.axis, other.axis, rtol=0, atol=SAME)
-        if not same or (number > 0 and not np.allclose(T, T_known, rtol=0, atol=SAME)):
+        alike = [np.allclose(T, T_known, rtol=0, atol=SAME)]
+        if number == 0:
+            firsts = [T_known, *(T_first for _, T_first in from_base[:1])]
+            alike = [np.allclose(T[:3, :3], each[:3, :3], rtol=0, atol=SAME) for each in firsts]
+        if not same or not any(alike):
             raise ConfigError(f"URDF: joint {name!r} is not as in the calibrated robot's chain", _HINT)
     if len(own) != len(known):
         raise ConfigError(

@@ -259,6 +259,7 @@ class Residuals(ReadOnly):
         predicted_px: (C, L, M, 2) predicted corners projected into the first station's images, px.
         leg_reprojection_px: (L,) rms distance to the detected corners, both cameras, px.
         T_w_v: (N, 4, 4) base in the world (the base at the recording's first observation), by dead reckoning.
+        T_w_c: (N, 4, 4) first camera in the world, by the base and the head with its estimated constants.
         T_w_k: (N, 4, 4) board in the world as each observation measures it.
     """
 
@@ -268,6 +269,7 @@ class Residuals(ReadOnly):
     predicted_px: Annotated[FloatArray, "C", "L", "M", 2]
     leg_reprojection_px: Annotated[FloatArray, "L"]
     T_w_v: Annotated[FloatArray, "N", 4, 4]
+    T_w_c: Annotated[FloatArray, "N", 4, 4]
     T_w_k: Annotated[FloatArray, "N", 4, 4]
 
     @property

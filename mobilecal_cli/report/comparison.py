@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.comparison import UNLIKELY, Difference, History, difference, nine_apart
+from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
 from mobilecal_cli.model.text import listed, visible, wrapped
@@ -49,8 +50,14 @@ def change_since(robot: CalibratedRobot, last: CalibratedRobot, name: str) -> Ch
     """Change from an earlier calibration, also in standard deviations of the difference.
 
     Raises:
-        ConfigError: the earlier calibration is of other frames.
+        ConfigError: the earlier calibration is of other frames, or of a head with other joints.
     """
+    if robot.head_joints and last.head_joints and {*robot.head_joints} != {*last.head_joints}:
+        joints, others = (listed(each.head_joints) for each in (robot, last))
+        raise ConfigError(
+            f"{name} is a calibration of another robot: its head has the joints {others}, the recording's {joints}",
+            "give the last calibration of this robot",
+        )
     change = difference(last, robot)
     return Change(name, change.change, change.sigmas, _UNKNOWN, None if change.shared else change.chance)
 
@@ -171,21 +178,20 @@ def changed(difference: Difference) -> bool | None:
 def conclusion(difference: Difference, first: str, second: str) -> str:
     """Whether the second calibration differs from the first, how much at most, and how certain that is."""
     hidden = ", ".join(name for name, hides in zip(NINE, difference.unobservable, strict=True) if hides)
-    moved = (
-        f"{name} {difference.joints[name][0]:+.2g} {difference.joints[name][2]} ({abs(sigmas):.1f} sigma)"
-        for name, sigmas in difference.moved_joints.items()
-    )
-    note = f" The head chain changed: {', '.join(moved)}." if difference.moved_joints else ""
-    if hidden:
-        note += f" No conclusion about {hidden}: at least one calibration does not determine it."
+    note = f" No conclusion about {hidden}: at least one calibration does not determine it." if hidden else ""
     if difference.chance is None:
         unknown = "have no parameter that both determine with a standard deviation"
         return f"Unknown: {first} and {second} {unknown}.{note}"
     sigmas = np.where(difference.known, np.abs(difference.sigmas), 0.0)
     worst = int(np.argmax(sigmas))
     weak = " They share a recording, so this test is weak." if difference.shared else ""
+    moved = [
+        f"{name} {difference.joints[name][0]:+.2g} {difference.joints[name][2]} ({abs(away):.1f} sigma)"
+        for name, away in difference.moved_joints.items()
+    ]
+    head = f" in the head chain, {', '.join(moved)}; of the nine parameters," if moved else ""
     return (
-        f"{'Changed' if changed(difference) else 'Unchanged'}: from {first} to {second}, largest "
+        f"{'Changed' if changed(difference) else 'Unchanged'}: from {first} to {second},{head} largest "
         f"change {sigmas[worst]:.1f} sigma ({NINE[worst]}). Probability by chance {percent_text(difference.chance)} "
         f"(chi-squared {difference.chi2:.1f} for {int(difference.known.sum())} parameters).{weak}{note}"
     )

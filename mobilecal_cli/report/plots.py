@@ -123,8 +123,8 @@ def path_picture(solution: Solution, extraction: Extraction, log: int | None = N
     log = min(o.log for o in extraction.observations) if log is None else log
     picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
     observations, board = [extraction.observations[i] for i in picked], extraction.board
-    T_w_v, T_w_k = solution.residuals.T_w_v[picked], solution.residuals.T_w_k[picked]
-    T_w_c = T_w_k @ se3.inverse(np.stack([o.T_c_k for o in observations]))
+    residuals = solution.residuals
+    T_w_v, T_w_c, T_w_k = (of[picked] for of in (residuals.T_w_v, residuals.T_w_c, residuals.T_w_k))
     ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]])
     ends_k *= float(np.median([o.square_m for o in observations]))
     boards = se3.act(T_w_k, np.broadcast_to(ends_k, (len(picked), 2, 3)))[..., :2]

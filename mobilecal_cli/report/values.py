@@ -397,7 +397,7 @@ class StationData(JsonValue):
 def _stations(case: Case) -> tuple[StationData, ...]:
     rig, residuals = case.extraction.rig, case.solution.residuals
     joints, cameras = rig.chain.joints, rig.cameras.names
-    each = zip(case.extraction.observations, residuals.T_w_v, residuals.T_w_k, strict=True)
+    each = zip(case.extraction.observations, residuals.T_w_v, residuals.T_w_c, residuals.T_w_k, strict=True)
     return tuple(
         like(
             StationData,
@@ -411,10 +411,10 @@ def _stations(case: Case) -> tuple[StationData, ...]:
             base_y_m=float(T_w_v[1, 3]),
             base_heading_deg=math.degrees(math.atan2(T_w_v[1, 0], T_w_v[0, 0])),
             T_world_base=np.round(T_w_v[:3], 6),
-            T_world_camera=np.round((T_w_k @ se3.inverse(o.T_c_k))[:3], 6),
+            T_world_camera=np.round(T_w_c[:3], 6),
             T_world_board=np.round(T_w_k[:3], 6),
         )
-        for o, T_w_v, T_w_k in each
+        for o, T_w_v, T_w_c, T_w_k in each
     )
 
 

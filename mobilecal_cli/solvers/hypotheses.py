@@ -174,7 +174,14 @@ def _in_recording(readings: Readings, log: int, transform: Callable[[Readings], 
 
 
 def _poses(readings: Readings) -> Iterator[Hypothesis]:
-    """The other direction of measured poses."""
+    """The other direction of measured poses, and the mirrored images of one camera; those of a pair contradict it."""
+    if not readings.measured and len(readings.rig.cameras.names) == 1:
+        mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
+        yield Hypothesis(
+            "the images are mirrored",
+            "turn off mirroring in the driver of the camera, and record again",
+            lambda r: replace(r, T_c_k=mirror @ r.T_c_k @ mirror),
+        )
     if readings.measured:
         yield Hypothesis(
             "the measured poses are inverted: they take sensor coordinates to target coordinates",

@@ -158,6 +158,7 @@ def residuals_of(
     variance = np.stack([np.trace(cov, axis1=-2, axis2=-1).mean() for cov in shown.points_cov])
     good = ~(gross[i] | gross[j])
     T_w_v = dead_reckoned(pairs, parameters.wheels)
+    T_w_c = T_w_v @ pairs.T_v_h @ parameters.T_h_c
     return Residuals(
         legs=pairs.legs[kept],
         leg_point_rms_m=np.sqrt(np.sum(apart, axis=-1, where=good) / np.maximum(good.sum(axis=-1), 1)),
@@ -167,7 +168,8 @@ def residuals_of(
             np.sum(squares, axis=(0, 2, 3), where=counted) / np.maximum(counted.sum(axis=(0, 2, 3)), 1)
         ),
         T_w_v=T_w_v,
-        T_w_k=T_w_v @ pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k,
+        T_w_c=T_w_c,
+        T_w_k=T_w_c @ pairs.T_c_k,
     )
 
 

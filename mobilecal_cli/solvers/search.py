@@ -437,9 +437,10 @@ def turned_around(rig: Rig, T_h_c: FloatArray) -> Diagnosis | None:
     upside_down, backward = bool(turn[2, 2] < 0), bool(turn[0, 0] < 0)
     # Upside down, the base turns the other way; turned about the vertical, it drives backwards and turns as before.
     cause, cure = of_sides(rig, upside_down != backward, ("right", "left") if backward else ())
+    one = len(rig.cameras.names) == 1
     return Diagnosis(
-        f"{cause}, or the nominal pose of the camera is that of another frame",
-        f"{cure}, or correct nominal.head_eye",
+        f"{cause}, or the nominal pose of the camera is that of another frame{', or the images are mirrored' * one}",
+        f"{cure}, or correct nominal.head_eye{', or turn off mirroring in the driver of the camera' * one}",
     )
 
 

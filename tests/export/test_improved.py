@@ -20,7 +20,7 @@ from mobilecal_cli.export.improved import improved_cameras, improved_chain, with
 from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf
-from mobilecal_cli.likelihood.constants import camera_change, table
+from mobilecal_cli.likelihood.constants import camera_change, joint_keys, table
 from mobilecal_cli.model import Camera, EstimatedConstant, HeadChain, LensCorrection, LogSource
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
@@ -147,10 +147,22 @@ def test_the_urdf_with_the_chain_moves_as_the_fitted_head(calibrated, tmp_path):
         export(params, Target.urdf, urdf=path, with_chain=True)
 
 
+def test_a_zero_of_the_first_joint_is_not_written_twice(calibrated, tmp_path):
+    """The first origin was not compared: the chain starts between the wheels."""
+    _, extraction, solution, params = calibrated
+    zero = f"{next(iter(joint_keys(extraction.rig.chain).values()))}_zero"
+    chain = improved_chain(extraction.rig.chain, {zero: values_of(solution)[zero]})
+    once = patched_urdf(
+        params.with_name("robot.urdf").read_bytes(), parameters_from_yaml(params.read_text()), {}, chain
+    )
+    with pytest.raises(ConfigError, match="is not as in the calibrated robot's chain"):
+        patched_urdf(once.content, parameters_from_yaml(params.read_text()), {}, chain)
+
+
 def test_the_urdf_without_the_chain_says_so(calibrated):
     described, _, _, params = calibrated
     made = export(params, Target.urdf, urdf=params.with_name("robot.urdf"))
-    assert any("This is without the corrections of the head chain" in note for note in made.notes)
+    assert any("The calibration also corrects the head chain" in note for note in made.notes)
     drawn, kept = (parse_urdf(text) for text in (urdf_text(described), made.content.decode()))
     for joint in described.joints:
         if joint.name:
@@ -171,8 +183,8 @@ def test_exports_without_the_chain_say_how_far_the_camera_is_off(calibrated):
     deg, mm = np.degrees(np.linalg.norm(se3.log_so3(off[:3, :3]))), 1e3 * np.linalg.norm(off[:3, 3])
     for target in (Target.static_transform_yaml, Target.static_transform_launch, Target.xacro, Target.json):
         made = export(params, target)
-        (note,) = [note for note in made.notes if "corrections of the head chain" in note]
-        assert f"{deg:.2g} degrees and {mm:.2g} mm elsewhere" in note
+        (note,) = [note for note in made.notes if "corrects the head chain" in note]
+        assert f"{deg:.2g} degrees and {mm:.2g} mm away" in note
         assert target is Target.json or note in made.content.decode()
 
 

@@ -92,6 +92,19 @@ GROUNDED = URDF.replace(b'xyz="0.1 0 0.05"', b'xyz="0.1 0 0"').replace(
 )
 
 
+def test_the_hub_of_a_wheel_keeps_its_size():
+    """Every cylinder got the wheel's radius, and the height was that of the first one."""
+    hub = b'<visual><geometry><cylinder radius="0.03" length="0.05"/></geometry></visual>'
+    content = GROUNDED.replace(b'<link name="l">', b'<link name="l">' + hub).replace(
+        b'0.25 0.0 0.0"', b'0.25 0.0 0.1"'
+    )
+    content = content.replace(b'-0.15 0.0 0.0"', b'-0.15 0.0 0.1"')
+    assert hub in content
+    made = patched_urdf(content, robot(), JOINTS)
+    assert hub in made.content
+    assert any("height 0.1015 m, the mean wheel radius" in change for change in made.notes)
+
+
 def heights(made, tmp_path, link):
     """Heights of both wheel centers over a link, by two parsers."""
     return [T[2, 3] for side in "lr" for T in two_readers(tmp_path, made.content, side, link)]

@@ -11,6 +11,8 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.export import params
 from mobilecal_cli.export.params import parameters_from_yaml
+from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.likelihood.constants import corrected_chain
 from mobilecal_cli.model import Corners, Nominal
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import image_coverage
@@ -137,6 +139,21 @@ def test_a_report_renders_params_yaml_once(solution, extraction, monkeypatch):
     monkeypatch.setattr(params, "rendered", lambda name, **of: names.append(name) or rendered(name, **of))
     report_on(solution, extraction)
     assert names == ["params.yaml", "verdict.yaml"]
+
+
+def test_the_camera_of_a_station_is_where_the_estimate_has_it():
+    """With the estimated constants: the poses of the stated cameras had moved it by centimeters."""
+    solution, extraction = drawn()
+    station = made(solution, extraction).stations[3]
+    T_v_w, T_w_c = (np.vstack([T, [0, 0, 0, 1]]) for T in (station.T_world_base, station.T_world_camera))
+    T_v_w = se3.inverse(T_v_w)
+    values = {name: constant.value for name, constant in solution.constants.items()}
+    chain, zeros = corrected_chain(extraction.rig.chain, values)
+    scales = [1 + values[f"{name}_scale"] for name in ("pan", "tilt")]
+    expected = (
+        head_pose(chain, extraction.observations[3].joints * scales + zeros) @ solution.parameters.T_h_c
+    )
+    assert T_v_w @ T_w_c == pytest.approx(expected, abs=2e-3)  # but for backlash
 
 
 def test_an_extraction_without_logs_has_a_report():

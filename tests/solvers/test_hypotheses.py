@@ -32,6 +32,7 @@ from tests.hostile.meaning import (
     wheels,
 )
 from tests.judging import judge
+from tests.robots import true_nominal
 
 ROBOT = tick_robot()
 
@@ -188,6 +189,27 @@ def test_odometry_whose_poses_never_change_may_have_them_in_its_twist(recorded):
 def test_the_diagnosis_names_the_mistake(recorded, name):
     spoil, cause = MISTAKES[name]
     assert cause in Search(spoil(recorded)).diagnosis.cause
+
+
+@pytest.mark.parametrize("nominal", [true_nominal(ROBOT), Nominal(None, ROBOT.wheels)])
+def test_mirrored_images_of_one_camera_are_named(nominal):
+    """It was the sign of the tilt, with which all fits: PASS with the camera 9 cm away and turned around."""
+    mirror, pair = np.diag([-1.0, 1, 1, 1]), twelve()
+    rig = pair.rig
+    alone = replace(
+        rig.cameras,
+        names=("camera",),
+        each=rig.cameras.each[:1],
+        T_c_each=np.eye(4)[None],
+        R_rect=np.eye(3)[None],
+        reference="camera",
+        calibrated=False,
+    )
+    seen = [replace(o, T_c_k=mirror @ o.T_c_k @ mirror, views=o.views[:1]) for o in pair.observations]
+    spoilt = replace(pair, observations=tuple(seen), rig=replace(rig, cameras=alone, nominal=nominal))
+    cause = Search(spoilt).diagnosis.cause
+    assert "the images are mirrored" in cause
+    assert (cause == "the images are mirrored") == (nominal.T_h_reference is not None)
 
 
 @pytest.mark.long

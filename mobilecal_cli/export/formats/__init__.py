@@ -97,8 +97,8 @@ def chain_note(robot: CalibratedRobot) -> tuple[str, ...]:
     if deg == mm == "0":
         return ()
     return (
-        f"This is without the corrections of the head chain, without which the camera is {deg} degrees and {mm} mm "
-        "elsewhere on the robot: the format urdf writes them into the URDF (with-chain).",
+        f"The calibration also corrects the head chain; with it as stated, the camera is {deg} degrees and {mm} mm "
+        "away from its estimated place. The format urdf writes the corrections into the URDF (with-chain).",
     )
 
 

@@ -73,6 +73,8 @@ def export(
     return Exported(patched.content, notes)
 
 
+#: A cylinder that is smaller than the largest of its link by more than this share is a hub.
+_HUB = 0.2
 #: First byte of a start tag, whose attributes may change or which gets a child element, and the byte after it.
 _Tag = tuple[int, int]
 _START_TAG = re.compile(rb"""<(?:[^>"']++|"[^"]*"|'[^']*')*+>""")
@@ -151,7 +153,7 @@ def patched_urdf(
             changes.append(f"link {link!r}: radius unchanged, it is unobservable")
             continue
         radius_m = robot.wheels.radius_left_m if side == "left" else robot.wheels.radius_right_m
-        tags = file.places.get(("link", link, "wheel"), [])
+        tags = file.tires(link)
         for tag in tags:
             file.change(tag, {"radius": f"{radius_m:.12g}"})
         radii = f"radius of {len(tags)} shape{'s' * (len(tags) != 1)}: {radius_m:.6g} m"
@@ -206,6 +208,20 @@ class _File:
         else:
             inside = self.places["joint", joint, ""][-1][1]
             self.put((inside, inside), element, _element(element, values).encode())
+
+    def tires(self, link: str) -> list[_Tag]:
+        """The cylinders and spheres of a wheel's link that are the tire: the largest, and what is hardly smaller."""
+        radii = {tag: self.radius_m(tag) for tag in self.places.get(("link", link, "wheel"), [])}
+        least_m = (1 - _HUB) * max(radii.values(), default=0.0)
+        return [tag for tag, radius_m in radii.items() if radius_m >= least_m]
+
+    def radius_m(self, tag: _Tag) -> float:
+        """The radius that a tag states; 0 if it states none."""
+        stated = re.search(rb"\sradius\s*=\s*[\"']([^\"']*)", self.content[slice(*tag)])
+        try:
+            return float(stated[1]) if stated else 0.0
+        except ValueError:
+            return 0.0
 
     def changed(self) -> bytes:
         """The text with the changes."""
@@ -373,13 +389,8 @@ def _height(
     as that of a base_footprint, places the whole robot: it is named.
     """
     joints = [_joint(urdf, wheel_joints[side]) for side in SIDES]
-    tags = [tag for joint in joints for tag in file.places.get(("link", joint.child, "wheel"), [])[:1]]
-    stated = [re.search(rb"\sradius\s*=\s*[\"']([^\"']*)", file.content[slice(*tag)]) for tag in tags]
-    try:
-        radii = [float(radius[1]) for radius in stated if radius]
-    except ValueError:
-        return None, ()
-    if len(radii) != len(SIDES):
+    radii = [max(map(file.radius_m, file.tires(joint.child)), default=0.0) for joint in joints]
+    if min(radii) <= 0:
         return None, ()
     old_m = sum(radii) / 2
     new_m = (robot.wheels.radius_left_m + robot.wheels.radius_right_m) / 2
