@@ -26,6 +26,7 @@ _FEWEST = 5  # stations that make a median
 _SAME_PX = 1.0  # corners that do not move
 #: A misfit of this size is beyond the priors of camera_info: the estimate does not find its cause.
 _GROSS_PX = 5.0
+_NEARLY_ALL = 0.8  # share of the stations: at fewer, something changed during the recording
 _RECALIBRATE = (
     "check that each camera_info belongs to its images (left and right, resolution, crop), or calibrate the stereo "
     "pair again"
@@ -194,12 +195,15 @@ def check_arrangement(
         f"at {sum(gross)} of {len(gross)} stations, corners are behind a camera, or more than {_GROSS_PX:g} px from "
         "their epipolar lines"
     )
-    if misfits_px[likely] <= _EPIPOLAR_PX:
-        raise ObservationError(
-            f"{likely}: {facts}; with this undone, they are {misfits_px[likely]:.1f} px away",
-            _MISTAKES[likely][2] if likely in _MISTAKES else _CLOCK,
+    cure = _MISTAKES[likely][2] if likely in _MISTAKES else _CLOCK
+    cause = f"{likely}: {facts}; with this undone, they are {misfits_px[likely]:.1f} px away"
+    if misfits_px[likely] > _EPIPOLAR_PX:
+        cause, cure = f"camera_info does not fit the images: {facts}", _RECALIBRATE
+    if sum(gross) < _NEARLY_ALL * len(gross):
+        cure = (
+            "this is not so at the other stations: check cables and drivers of the cameras, and record again"
         )
-    raise ObservationError(f"camera_info does not fit the images: {facts}", _RECALIBRATE)
+    raise ObservationError(cause, cure)
 
 
 def check_square(measured: Sequence[Measured | Rejection], square_m: float) -> None:

@@ -106,6 +106,17 @@ def test_the_arrangement_of_the_images_is_named(mistake: str, spoil: Callable) -
 
 
 @pytest.mark.parametrize(
+    "change", [lambda left, right: (right, left), lambda left, right: (left, mirrored(right))]
+)
+def test_what_happens_to_the_images_in_a_part_of_the_recording(change: Callable) -> None:
+    """An exchange in rig.yaml would spoil the other stations."""
+    wrong = [change(*pair) if number >= 3 else pair for number, pair in enumerate(pairs())]
+    with pytest.raises(ObservationError, match="at 5 of 8 stations") as told:
+        check_arrangement(measured(wrong), wrong, RIG, BOARD)
+    assert "not so at the other stations" in told.value.hint
+
+
+@pytest.mark.parametrize(
     ("spoil", "cause"),
     [
         (lambda left, right: (left, left), "both image topics carry the images of the same camera"),
