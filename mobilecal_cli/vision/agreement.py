@@ -27,6 +27,7 @@ _SAME_PX = 1.0  # corners that do not move
 #: A misfit of this size is beyond the priors of camera_info: the estimate does not find its cause.
 _GROSS_PX = 5.0
 _NEARLY_ALL = 0.8  # share of the stations: at fewer, something changed during the recording
+_IN_PART = "this is not so at the other stations: check cables and drivers of the cameras, and record again"
 _RECALIBRATE = (
     "check that each camera_info belongs to its images (left and right, resolution, crop), or calibrate the stereo "
     "pair again"
@@ -195,15 +196,16 @@ def check_arrangement(
         f"at {sum(gross)} of {len(gross)} stations, corners are behind a camera, or more than {_GROSS_PX:g} px from "
         "their epipolar lines"
     )
-    cure = _MISTAKES[likely][2] if likely in _MISTAKES else _CLOCK
-    cause = f"{likely}: {facts}; with this undone, they are {misfits_px[likely]:.1f} px away"
-    if misfits_px[likely] > _EPIPOLAR_PX:
-        cause, cure = f"camera_info does not fit the images: {facts}", _RECALIBRATE
-    if sum(gross) < _NEARLY_ALL * len(gross):
-        cure = (
-            "this is not so at the other stations: check cables and drivers of the cameras, and record again"
+    in_part = sum(gross) < _NEARLY_ALL * len(gross)
+    if misfits_px[likely] <= _EPIPOLAR_PX:
+        cure = _MISTAKES[likely][2] if likely in _MISTAKES else _CLOCK
+        raise ObservationError(
+            f"{likely}: {facts}; with this undone, they are {misfits_px[likely]:.1f} px away",
+            _IN_PART if in_part else cure,
         )
-    raise ObservationError(cause, cure)
+    raise ObservationError(
+        f"camera_info does not fit the images: {facts}", _IN_PART if in_part else _RECALIBRATE
+    )
 
 
 def check_square(measured: Sequence[Measured | Rejection], square_m: float) -> None:
