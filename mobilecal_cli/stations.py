@@ -49,14 +49,14 @@ _SILENT_S, _MISSED_IMAGES, _OTHER_BREAKS = 3.0, 5, 2
 _NEARLY_ALL = 0.9  # of a topic's images
 _ALONE_S = 1.0  # an image of one camera this near to a group of images is not used
 _MISSED_PAIRS = 2  # without readings around them; one happens at the ends of a recording
-_FROZEN_S = 1.0  # a driver that repeats images shows new ones earlier
+FROZEN_S = 1.0  # a driver that repeats images shows new ones earlier
 # Reasons for pairs that are not used, and what to do.
-NO_READINGS, _FROZEN = "no readings around the image", "images do not change while the robot moves"
+NO_READINGS, FROZEN = "no readings around the image", "images do not change while the robot moves"
 _RATE = "joints and wheels at 20 Hz or more"
 _NOT_USED = {
     NO_READINGS: "no readings around them ({0}). Check the cable and the driver.",
     FEW_READINGS: f"{FEW_READINGS} ({{0}}). Publish {_RATE}, or stop longer at each place.",
-    _FROZEN: "the {0} images stay the same while the robot moves. Check the driver of the {0} camera.",
+    FROZEN: "the {0} images stay the same while the robot moves. Check the driver of the {0} camera.",
 }
 _NS = 1_000_000_000
 T = TypeVar("T")
@@ -426,8 +426,8 @@ class _Shown:
                     stale[name] = at_ns - since_ns
             if not stale:
                 kept.append(pair)
-            elif max(stale.values()) > _FROZEN_S * _NS:
-                frozen.append(Rejection("stations", _FROZEN, " and ".join(stale), pair.time_ns))
+            elif max(stale.values()) > FROZEN_S * _NS:
+                frozen.append(Rejection("stations", FROZEN, " and ".join(stale), pair.time_ns))
         return kept, frozen
 
     def new(self, pairs: Sequence[Shot]) -> list[Shot]:

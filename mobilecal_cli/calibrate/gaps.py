@@ -10,7 +10,7 @@ from mobilecal_cli.errors import MobilecalError, ObservationError, SolveError, n
 from mobilecal_cli.kinematics import FEWEST_LEGS, unseen_height
 from mobilecal_cli.model import CLOCKS_DIFFER, Extraction
 from mobilecal_cli.report.motion import Gap, motion_gaps
-from mobilecal_cli.stations import NO_READINGS
+from mobilecal_cli.stations import FROZEN, NO_READINGS
 from mobilecal_cli.vision import (
     AMBIGUOUS,
     OTHER_BOARDS,
@@ -48,6 +48,8 @@ def require_stations(extraction: Extraction) -> None:
         more = "stop at more places in front of the board"
         if reason == NO_READINGS:
             more = "check that joints and wheels are recorded as long as the images, with stamps of one clock"
+        if reason == FROZEN:
+            more = "check the driver and the cable of the camera whose images do not change"
         cure = noting(more, extraction.first_notes)
     ambiguous = sum(item.reason == AMBIGUOUS for item in extraction.rejections)
     if have < FEWEST_STATIONS <= have + ambiguous:

@@ -139,6 +139,8 @@ def test_fixed_parameters_need_no_motion(motion, fixed, gaps):
     [
         ("stations", "too few readings per second", "noted: wheels: too few readings per second"),
         ("stations", "no readings around the image", "recorded as long as the images, with stamps"),
+        ("stations", "images do not change while the robot moves", "the driver and the cable of the camera"),
+        ("vision", "markers not as stated", "correct the board in rig.yaml (columns, rows"),
         ("vision", SQUARES_UNKNOWN, "set board.square_m in rig.yaml, or with --set: stations"),
         ("vision", "board of a different size", "--board: 9 x 6 was used"),
         ("vision", "second board in view", "cover or remove the other checkerboard"),
