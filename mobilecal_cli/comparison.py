@@ -12,7 +12,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.arguments import require
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.kinematics import same_joints
+from mobilecal_cli.kinematics import unlike_joints
 from mobilecal_cli.likelihood.constants import joint_constants
 from mobilecal_cli.likelihood.predict import AHEAD_M, camera_in_base
 from mobilecal_cli.model import NINE, BoolArray, CalibratedRobot, FloatArray, Parameters, WheelGeometry
@@ -147,17 +147,17 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
 
 def _in_base(*robots: CalibratedRobot) -> list[FloatArray]:
     """(4, 4) pose of the camera in the base with the corrections of the head chain; in the head without a chain."""
-    return [
-        robot.T_parent_child
-        if any(each.chain is None for each in robots) or robot.chain is None
-        else camera_in_base(robot.chain, robot.constants or {}, robot.T_parent_child)
+    in_base = [
+        camera_in_base(robot.chain, robot.constants or {}, robot.T_parent_child)
         for robot in robots
+        if robot.chain is not None
     ]
+    return in_base if len(in_base) == len(robots) else [robot.T_parent_child for robot in robots]
 
 
 def _joints_apart(first: CalibratedRobot, second: CalibratedRobot) -> dict[str, tuple[float, float, str]]:
     """Change of the constants of the head chain, see `Difference.joints`."""
-    if first.chain is None or second.chain is None or not same_joints(first.chain, second.chain):
+    if first.chain is None or second.chain is None or unlike_joints(first.chain, second.chain):
         return {}
     apart = {}
     for row in joint_constants(first.chain):

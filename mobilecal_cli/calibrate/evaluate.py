@@ -10,7 +10,7 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.gaps import require_stations
 from mobilecal_cli.calibrate.load import OTHER_ROBOT, load, parameters_of, read_params
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, SolveError
-from mobilecal_cli.kinematics import same_joints
+from mobilecal_cli.kinematics import unlike_joints
 from mobilecal_cli.likelihood.constants import table
 from mobilecal_cli.likelihood.effects import CameraEffect
 from mobilecal_cli.model import CalibratedRobot, Extraction, Nominal, Solution
@@ -98,7 +98,7 @@ def _but_corrected(robot: CalibratedRobot, extraction: Extraction) -> tuple[Cali
     others: dict[str, set[str]] = {}
     if robot.cameras_sha256 not in ("", rig.cameras.digest):
         others["camera infos are"] = {row.name for row in rows if isinstance(row.effect, CameraEffect)}
-    if robot.chain is not None and not same_joints(robot.chain, rig.chain):
+    if robot.chain is not None and unlike_joints(robot.chain, rig.chain):
         others["head chain is"] = {row.name for row in rows if row.kind in _OF_CHAIN}
     dropped = set[str]().union(*others.values())
     notes = tuple(

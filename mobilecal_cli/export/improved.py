@@ -9,8 +9,7 @@ import numpy as np
 
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.kinematics import joint_frames, joint_motion
-from mobilecal_cli.kinematics.head import SAME
+from mobilecal_cli.kinematics import joint_frames, joint_motion, unlike_joints
 from mobilecal_cli.kinematics.urdf import Urdf, chain_links
 from mobilecal_cli.likelihood.constants import camera_change, corrected_chain, joint_constants, table
 from mobilecal_cli.likelihood.effects import CameraEffect, JointReading
@@ -125,7 +124,6 @@ def improved_chain(chain: HeadChain, constants: Mapping[str, float]) -> Improved
     return ImprovedChain(chain, improved, dict(zip(chain.joints, zeros.tolist(), strict=True)), others)
 
 
-_COMPARED = ("kind", "joint", "multiplier", "offset")  # fields of a joint's link, beside its axis
 _HINT = "give the URDF that the calibration read"
 
 
@@ -156,16 +154,13 @@ def _check(names: Sequence[str], drawn: HeadChain, chain: HeadChain) -> None:
     The first transform may differ: the chain starts between the wheels, by its first link, the URDF at its base link.
     """
     own, known = joint_frames(drawn)[0], joint_frames(chain)[0]
-    from_base = joint_frames(replace(chain, links=chain.links[1:]))[0]
-    for number, (name, (link, T), (other, T_known)) in enumerate(zip(names, own, known, strict=False)):
-        same = all(getattr(link, field) == getattr(other, field) for field in _COMPARED)
-        same = same and np.allclose(link.axis, other.axis, rtol=0, atol=SAME)
-        alike = [np.allclose(T, T_known, rtol=0, atol=SAME)]
-        if number == 0:
-            firsts = [T_known, *(T_first for _, T_first in from_base[:1])]
-            alike = [np.allclose(T[:3, :3], each[:3, :3], rtol=0, atol=SAME) for each in firsts]
-        if not same or not any(alike):
-            raise ConfigError(f"URDF: joint {name!r} is not as in the calibrated robot's chain", _HINT)
+    from_base = replace(chain, links=chain.links[1:])
+    unlike = {*unlike_joints(drawn, chain)} & {*unlike_joints(drawn, from_base)}
+    for number, ((link, _), (other, _)) in enumerate(zip(own, known, strict=False)):
+        if number in unlike or (link.multiplier, link.offset) != (other.multiplier, other.offset):
+            raise ConfigError(
+                f"URDF: joint {names[number]!r} is not as in the calibrated robot's chain", _HINT
+            )
     if len(own) != len(known):
         raise ConfigError(
             f"URDF: {len(own)} joints from {chain.base_frame!r} to {chain.head_frame!r}, {len(known)} in the "

@@ -7,7 +7,7 @@ from mobilecal_cli.kinematics.head import (
     head_pose,
     joint_frames,
     joint_motion,
-    same_joints,
+    unlike_joints,
     unseen_height,
 )
 from mobilecal_cli.kinematics.motion import (

@@ -11,8 +11,8 @@ from mobilecal_cli import se3
 from mobilecal_cli.model import FixedLink, FloatArray, HeadChain, JointLink
 from mobilecal_cli.model.text import visible
 
-#: Larger differences are those of another chain: of lengths in m, of the elements of rotation matrices and axes.
-SAME = 1e-6
+# Larger differences are those of another chain: of lengths in m, of the elements of rotation matrices and axes.
+_SAME = 1e-6
 _VERTICAL = 0.8  # cosine of an axis and the vertical, from which on a position along it is a height
 _TILTS = 0.02  # sine of an axis against the vertical: a joint with a smaller one does not tilt
 
@@ -37,16 +37,19 @@ def joint_frames(chain: HeadChain) -> tuple[list[tuple[JointLink, FloatArray]], 
     return joints, T
 
 
-def same_joints(chain: HeadChain, other: HeadChain) -> bool:
-    """Whether two chains have the same joints with the same transforms between them; the first may be elsewhere."""
+def unlike_joints(chain: HeadChain, other: HeadChain) -> list[int]:
+    """Numbers of the joints in which two chains differ, or in the transform before them; the first may be elsewhere.
+
+    Mimic joints count as joints of their own: their multipliers and offsets are not compared.
+    """
     own, known = joint_frames(chain)[0], joint_frames(other)[0]
-    return len(own) == len(known) and all(
-        link.joint == another.joint
-        and np.allclose(link.axis, another.axis, rtol=0, atol=SAME)
-        and np.allclose(T[:3, :3], T_other[:3, :3], rtol=0, atol=SAME)
-        and (number == 0 or np.allclose(T[:3, 3], T_other[:3, 3], rtol=0, atol=SAME))
-        for number, ((link, T), (another, T_other)) in enumerate(zip(own, known, strict=True))
-    )
+    unlike = list(range(min(len(own), len(known)), max(len(own), len(known))))
+    for number, ((link, T), (another, T_other)) in enumerate(zip(own, known, strict=False)):
+        off = [link.axis - another.axis, (T - T_other)[:3, : 4 if number else 3]]
+        same = (link.joint, link.kind) == (another.joint, another.kind)
+        if not same or max(float(np.abs(each).max()) for each in off) > _SAME:
+            unlike.append(number)
+    return unlike
 
 
 def head_pose(chain: HeadChain, joints: FloatArray) -> FloatArray:
