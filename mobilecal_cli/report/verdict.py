@@ -80,7 +80,7 @@ def _use(solution: Solution, at_work: AtWork, chain: HeadChain) -> str:
         return "Use params.yaml on the robot."
     return (
         "Use params.yaml on the robot, also its corrections of the head chain (export --to urdf --with-chain): "
-        f"without them, the camera is {math.degrees(turn_rad):.2g} degrees and {1e3 * shift_m:.2g} mm elsewhere."
+        f"without them, the camera is {math.degrees(turn_rad):.2g} degrees and {1e3 * shift_m:.2g} mm from its place."
     )
 
 
