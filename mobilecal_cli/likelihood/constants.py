@@ -124,6 +124,8 @@ _BY_NAME = {kind.name: kind for kind in KINDS}
 _TOGETHER = {"baseline_length": "square_size"}
 #: Kinds that no description states: no data contradict them.
 UNSTATED = frozenset({"board_corners", "floor_drift", "floor_shape", "lens_waves"})
+#: Kinds whose expected value is assumed where nobody states it: what the data show instead is no fault of the robot.
+ASSUMED = frozenset({"readout"})
 #: Kinds of errors of many numbers, see `patterns`: estimated, but never part of an exported camera or board.
 PATTERNS = frozenset({"board_corners", "lens_waves"})
 #: Kinds of which each recording has rows of its own, beside those of `table`.

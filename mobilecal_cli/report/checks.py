@@ -15,7 +15,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import encoder_steps_rad
 from mobilecal_cli.likelihood import jumps
-from mobilecal_cli.likelihood.constants import NINE_SIGMAS, family, kind_of
+from mobilecal_cli.likelihood.constants import ASSUMED, NINE_SIGMAS, family, kind_of
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     CHAIN_ENDS,
@@ -386,15 +386,21 @@ def jump(case: Case, metric: Metric) -> Iterator[Check]:
 def contradiction(case: Case, metric: Metric) -> Iterator[Check]:
     """The stated values that the data contradict; those that the result depends on fail, and times beside them.
 
-    If any fails, so does the strongest, which comes first: one that contradicts less may be an alternative to it.
+    What is only assumed, such as a global shutter, spoils nothing where it is estimated. If any fails, so does the
+    strongest, which comes first: one that contradicts less may be an alternative to it.
     """
     solution = case.solution
-    some_fail = any(evidence.shift_sigmas > MATERIAL_SIGMAS for evidence in solution.contradictions)
+    spoiling = [
+        evidence.shift_sigmas > MATERIAL_SIGMAS and evidence.kind not in ASSUMED
+        for evidence in solution.contradictions
+    ]
     widths = solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
     for number, evidence in enumerate(solution.contradictions):
         what, cure = contradiction_sentences(evidence, solution, case.extraction)
         wider = widths.get(family(evidence.kind), 1.0)
-        is_cause = evidence.late_camera or (some_fail and (number == 0 or kind_of(evidence.kind).unit == "s"))
+        is_cause = evidence.late_camera or (
+            any(spoiling) and (number == 0 or kind_of(evidence.kind).unit == "s")
+        )
         of_others = is_cause and len(solution.contradictions) > 1
         yield metric.check(
             evidence.sigmas, CONTRADICTION_SIGMAS,
@@ -405,7 +411,7 @@ def contradiction(case: Case, metric: Metric) -> Iterator[Check]:
             + (f" Priors of this kind are taken {std_text(wider)} times as wide." if wider > _SHOWN_WIDER else "")
             + (" Other stated values that differ may follow from it." if of_others else ""),
             passes=False,
-            beyond="fail" if evidence.shift_sigmas > MATERIAL_SIGMAS or is_cause else "warning",
+            beyond="fail" if spoiling[number] or is_cause else "warning",
         )  # fmt: skip
 
 

@@ -53,6 +53,19 @@ def test_a_contradiction_fails_where_the_result_depends_on_it(shift, level):
     assert "Right camera" in verdict.reason + verdict.next_step
 
 
+def test_a_rolling_shutter_that_nobody_states_is_no_fault():
+    solution, extraction = solved(("stereo_r_x", np.radians(1.0)))
+    (found,) = solution.contradictions
+    values = {"readout": EvidenceValue(0.03, 0.0002, 0.0005)}
+    shutter = Evidence("readout", "all cameras", values, 3600.0, 60.0, 2.3)
+    verdict = judge(replace(solution, contradictions=(shutter,)), extraction)
+    assert verdict.level == "PASS"
+    assert "+30.00 ± 0.20 ms from a global shutter" in verdict.next_step
+    verdict = judge(replace(solution, contradictions=(shutter, found)), extraction)
+    assert verdict.level == "FAIL"
+    assert verdict.reason.startswith("All cameras: readout differs")
+
+
 def test_the_strongest_contradiction_is_named_if_any_fails():
     solution, extraction = solved(("stereo_r_x", np.radians(1.0)))
     (found,) = solution.contradictions

@@ -10,7 +10,7 @@ from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.solvers import maximum_likelihood, solve
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.inference import Inference
-from mobilecal_cli.solvers.noise import _LOG_FACTORS, expected_factors
+from mobilecal_cli.solvers.noise import _LOG_FACTORS, expected_factors, widths
 from tests.bench import imperfect
 from tests.bench.drawn import drawn
 from tests.extractions import Noise, simulated
@@ -48,6 +48,15 @@ def test_wider_only_if_the_measurements_show_so():
     """A gradient of three of its sigmas by a constant that the measurements hardly show widened its prior for ever."""
     (factor,) = factors([28.0], [1 / 88])
     assert factor < 1.2
+
+
+@pytest.mark.parametrize(("robot", "wider"), [("pan-tilt", True), ("camera on pan-tilt", False)])
+def test_squares_of_one_camera_keep_their_prior(robot, wider):
+    """With a slow rolling shutter, a slight pull on them grew as it was followed: wheels of 2.5 times their size."""
+    fit = fitted_of(imperfect.Case(robot=robot, noise=imperfect.USUAL).extraction(0))
+    off = np.where(np.array(fit.data.layout.names) == "square_scale", 0.02, 0.0)
+    lin = fit.lin.at(fit.lin.state.plus_shared(off), fit.inliers, fit.noise, fit.lin.priors)
+    assert (widths(lin)["square_size"] > 2.0) == wider
 
 
 @pytest.mark.parametrize(("off_m", "seed"), [(0.05, 4), (-0.05, 0)])
