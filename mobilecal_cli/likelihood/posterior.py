@@ -12,6 +12,7 @@ from typing import Self
 
 import numpy as np
 
+from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.likelihood.constants import WHEEL_SIGMA
 from mobilecal_cli.likelihood.linearization import Linearization, solvable
 from mobilecal_cli.likelihood.measurements import ERRORS
@@ -21,6 +22,7 @@ from mobilecal_cli.likelihood.views import summed
 from mobilecal_cli.model import NINE, FloatArray
 
 _SCATTERS = 5.0  # of what noise alone would show, in its standard deviations
+_UPRIGHT = 0.5  # length of what is free of the vertical, beyond which the height is free
 
 
 class Posterior(Linearization):
@@ -205,6 +207,9 @@ def directions(lin: Posterior, user_weight: FloatArray) -> tuple[FloatArray, Flo
     wheels' share of a direction, with a scatter of ``WHEEL_SIGMA^2 sqrt(2 n)``. A direction is observable if it shows
     more than this, and five times the scatter, and a drawing.
 
+    The height of a camera that never tilts is none, unless a prior of the user says more of it than a drawing: only its
+    lever shows it where the base leans, and what turns it in its mount, or the base about springs, shows another lever.
+
     Args:
         lin: where.
         user_weight: (P,) inverse variances of priors that count as measurements: the user's, and the constants'.
@@ -226,8 +231,12 @@ def directions(lin: Posterior, user_weight: FloatArray) -> tuple[FloatArray, Flo
     across = S[:nine, others] * unit
     inner = S[np.ix_(others, others)] * np.outer(unit, unit)
     reduced = S[:nine, :nine] - across @ np.linalg.solve(inner, across.T)
-    kept = np.eye(nine)[:, ~fixed[:nine]]
-    values, vectors = np.linalg.eigh(kept.T @ (reduced * np.outer(scales, scales)) @ kept)
+    reduced = reduced * np.outer(scales, scales)
+    kept, height = np.eye(nine)[:, ~fixed[:nine]], _unseen_height(lin)
+    if height is not None and height @ (user_weight[:nine] * scales**2 * height) < 1:
+        reduced -= np.outer(height, height @ reduced)
+        reduced -= np.outer(reduced @ height, height)
+    values, vectors = np.linalg.eigh(kept.T @ reduced @ kept)
     order = np.argsort(-values)
     singular = np.sqrt(np.maximum(values[order], 0.0))
     along = (kept @ vectors[:, order]).T
@@ -235,3 +244,13 @@ def directions(lin: Posterior, user_weight: FloatArray) -> tuple[FloatArray, Flo
     by_noise = WHEEL_SIGMA**2 * (legs + _SCATTERS * np.sqrt(2 * legs))
     least = np.sqrt(1 + by_noise * np.sum(along[:, 6:] ** 2, axis=1))
     return singular, along[singular < least]
+
+
+def _unseen_height(lin: Posterior) -> FloatArray | None:
+    """(9,) direction of the height of a camera that never tilts; None if it tilts, or if the user fixed its height."""
+    vertical = unseen_height(lin.data.chain)
+    if vertical is None:
+        return None
+    free = np.where(lin.priors.fixed[3:6], 0.0, vertical)
+    length = float(np.linalg.norm(free))
+    return np.concatenate([np.zeros(3), free / length, np.zeros(3)]) if length > _UPRIGHT else None
