@@ -193,10 +193,11 @@ def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[i
 
 def several_sizes(vote: SizeVote) -> ObservationError:
     """The error for images that show boards of several sizes, none of them in most."""
-    sizes = [(f"{columns}x{rows}", votes) for (columns, rows), votes in sorted(vote.votes.items())]
+    ranked = sorted(vote.votes.items(), key=lambda counted: (-counted[1], counted[0]))
+    sizes = [(f"{columns}x{rows}", votes) for (columns, rows), votes in ranked]
     return ObservationError(
         f"the images show boards of several sizes: {listed(f'{size} in {n} images' for size, n in sizes)}",
-        f"state the inner corners of the calibration board: --board {' or --board '.join(s for s, _ in sizes[-2:])}",
+        f"state the inner corners of the calibration board: --board {' or --board '.join(s for s, _ in sizes[:2])}",
     )
 
 

@@ -69,7 +69,8 @@ def require_stations(extraction: Extraction) -> None:
     if reason == SECOND_BOARD:
         cure = "cover or remove the other checkerboard: only one may be in view"
     if reason == SQUARES_UNKNOWN:
-        cure = "set board.square_m in rig.yaml, or with --set: stations that one camera alone shows need it"
+        alone = "set board.square_m in rig.yaml, or with --set: stations that one camera alone shows need it"
+        cure = noting(alone, extraction.first_notes)
     if extraction.measured:
         where, cure = f"poses of {have} stations", "give poses at more places in front of the target"
     if have < FEWEST_STATIONS:

@@ -49,6 +49,8 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
     tested = []
     for (kind, _), members in groups.items():
         columns, rows = list(members), list(members.values())
+        if kind in FAMILIES and lin.data.scale_of_squares:
+            continue
         first = next((row for row in rows if row.kind == kind), rows[0])
         prior, factors = 1 / np.sqrt(lin.priors.stated_weight[columns]), lin.priors.factors[columns]
         tight = np.minimum(prior / usual[columns], 1.0)

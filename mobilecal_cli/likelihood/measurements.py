@@ -215,6 +215,11 @@ class Measurements:
         """Number of recordings, also of those without stations."""
         return len(self.tracks)
 
+    @property
+    def scale_of_squares(self) -> bool:
+        """Whether nothing but the squares gives the scale: with one camera, what contradicts them is another error."""
+        return len(self.cameras.names) == 1
+
     @cached_property
     def posed(self) -> bool:
         """Whether the board's poses were measured, not its corners."""

@@ -199,8 +199,9 @@ def widths(lin: Posterior) -> dict[str, float]:
     misfit = np.zeros((len(columns), len(_LOG_FACTORS)))
     for i, (name, mine) in enumerate(columns.items()):
         along = np.eye(len(mine))
-        # What all of a family share is no contradiction, and the squares alone give the scale of one camera.
-        if name in FAMILIES and (len(mine) > 1 or len(lin.data.cameras.names) == 1):
+        if name in FAMILIES and (
+            len(mine) > 1 or lin.data.scale_of_squares
+        ):  # what all share is no contradiction
             along = np.linalg.svd(root[None, mine], full_matrices=True)[2][1:]
         along = along * root[mine]
         values, vectors = np.linalg.eigh(along @ lin.covariance[np.ix_(mine, mine)] @ along.T)

@@ -1,5 +1,6 @@
 """Detection of boards in rendered and real images: accepted, rejected, and distinguished."""
 
+from collections import Counter
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.calibrate.detect import several_sizes
 from mobilecal_cli.model import Board
 from mobilecal_cli.vision import Detection, Miss, detect, identify_size
+from mobilecal_cli.vision.detection import SizeVote
 from mobilecal_cli.vision.grid import smallest_edge_px
 from tests.vision.scenes import detected, missed, opencv_pixels, pose, render, stereo_rig
 
@@ -241,6 +243,11 @@ class TestSize:
         assert (vote.size, vote.beside) == (None, 1)
         hint = several_sizes(vote).hint
         assert hint == "state the inner corners of the calibration board: --board 6x5 or --board 9x6"
+
+    def test_of_several_sizes_those_in_most_images_are_offered(self) -> None:
+        votes = Counter({(8, 6): 22, (10, 8): 2, (11, 8): 22})
+        hint = several_sizes(SizeVote(votes, 46)).hint
+        assert hint == "state the inner corners of the calibration board: --board 8x6 or --board 11x8"
 
     def test_pictures_that_do_not_agree(self) -> None:
         images = []
