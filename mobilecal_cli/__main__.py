@@ -53,13 +53,14 @@ def main() -> None:
             sys.exit(_BROKEN_PIPE)
         raise
     except OSError as error:
-        if error.filename is not None or error.errno not in (errno.EPIPE, errno.ENOSPC):
+        unwritable = errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EBADF
+        if error.filename is not None or error.errno not in unwritable:
             raise
         sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115 - Python would try to flush it again
         if error.errno == errno.EPIPE:
             sys.exit(_BROKEN_PIPE)
         _complain(f"error: standard output cannot be written: {error.strerror}")
-        _complain("hint: check free space where standard output goes")
+        _complain("hint: check that standard output is open, and has free space where it goes")
         sys.exit(_OUTPUT)
 
 
@@ -91,15 +92,19 @@ def _complain(line: str) -> None:
 
 
 def _open_standard_streams() -> None:
-    """Open what the caller closed, so that no other file takes the number of standard output or error."""
+    """Open what the caller closed, so that no other file takes the number of standard output or error.
+
+    Writing to a closed standard output remains an error.
+    """
     while True:
         number = os.open(os.devnull, os.O_RDWR)
         if number > 2:
             os.close(number)
             break
-    for name, number in (("stdout", 1), ("stderr", 2)):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(number, "w", closefd=False))  # noqa: SIM115
+    if sys.stdout is None:
+        sys.stdout = os.fdopen(os.open(os.devnull, os.O_RDONLY), "w")
+    if sys.stderr is None:
+        sys.stderr = open(2, "w", closefd=False)  # noqa: SIM115
 
 
 if __name__ == "__main__":

@@ -92,6 +92,20 @@ def test_a_wrong_command_line_that_standard_error_cannot_show(command, redirecti
     assert (done.returncode, done.stdout) == (2, "")
 
 
+@pytest.mark.parametrize(
+    ("command", "redirection"),
+    [("board --help", ">&-"), ("board --help", ">/dev/full"), ("--version", ">&-")],
+)
+def test_output_that_cannot_be_written_is_an_error(command, redirection):
+    """To a closed standard output, it was lost with exit code 0."""
+    if redirection.endswith("full") and not Path("/dev/full").exists():
+        pytest.skip("this system has no /dev/full")
+    words = f"{shlex.quote(sys.executable)} -m mobilecal_cli {command} {redirection}"
+    done = subprocess.run(["sh", "-c", words], capture_output=True, text=True)
+    assert done.returncode == 7
+    assert done.stderr.startswith("error: standard output cannot be written: ")
+
+
 def test_the_package_states_the_same_systems():
     metadata = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
     systems = [c for c in metadata["project"]["classifiers"] if c.startswith("Operating System")]
