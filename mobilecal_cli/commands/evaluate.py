@@ -44,12 +44,12 @@ def evaluate(
     from mobilecal_cli.report.junit import junit_xml
 
     *logs, params = files
-    if not logs:
-        raise ConfigError(
-            f"{params}: the only path given; evaluate needs a recording and a params.yaml",
-            "mobilecal evaluate another.mcap log_calibration/params.yaml",
-        )
-    with options.junit_file(junit, logs, force, [params, before, config]) as write_junit:
+    with options.junit_file(junit, files, force, [before, config]) as write_junit:
+        if not logs:
+            raise ConfigError(
+                f"{params}: the only path given; evaluate needs a recording and a params.yaml",
+                "mobilecal evaluate another.mcap log_calibration/params.yaml",
+            )
         with progress_bar(quiet, verbose) as progress:
             result = evaluated(
                 logs,

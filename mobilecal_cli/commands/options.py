@@ -119,6 +119,8 @@ def junit_file(
 ) -> Iterator[Callable[[bytes], None]]:
     """Function that writes the JUnit file, if there is one; an error of the command is written to it, too.
 
+    The file of an earlier run is removed at once: it must not be read as the result of this one, whatever ends it.
+
     Args:
         junit: this file.
         logs: inputs of the command.
@@ -133,6 +135,7 @@ def junit_file(
     if junit is not None:
         force = force or is_junit(junit)
         check_output(junit, force, [*logs, *others])
+        junit.unlink(missing_ok=True)
 
     def write(content: bytes) -> None:
         if junit is not None:

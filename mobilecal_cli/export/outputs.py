@@ -148,9 +148,13 @@ def _check_parent(path: Path) -> None:
     """Check whether something of this name can be created.
 
     Raises:
-        OutputError: the name is too long, or its directory does not exist or cannot be written.
+        OutputError: the name is "-" or too long, or its directory does not exist or cannot be written.
     """
     parent = path.parent
+    if str(path) == "-":  # elsewhere it stands for standard output
+        raise OutputError(
+            "-: not a name for this output", "it is not written to standard output: name a file"
+        )
     try:
         path.lstat()
     except (FileNotFoundError, NotADirectoryError):

@@ -6,6 +6,10 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
+from mobilecal_cli.calibrate import steps
+from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.files.interruption import Interrupted
+from mobilecal_cli.report.junit import junit_error_xml
 from tests.command import run, succeeded
 
 SAMPLE_STD = 0.02  # m; far above what the sample's separation has
@@ -141,6 +145,22 @@ def test_an_error_reaches_junit(tmp_path):
     error = ET.parse(tmp_path / "junit.xml").getroot().find("testsuite/testcase/error")
     assert error.get("type") == "recording"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["junit.xml", "log.mcap"]
+
+
+def test_the_junit_file_of_an_earlier_run_does_not_stay(tmp_path, monkeypatch):
+    """A run that SIGTERM ended left it, with PASS."""
+    junit = tmp_path / "junit.xml"
+
+    def interrupted(*_, **__):
+        assert not junit.exists()
+        raise Interrupted(143)
+
+    monkeypatch.setattr(steps, "calibrate", interrupted)
+    junit.write_bytes(junit_error_xml("log.mcap", ConfigError("an earlier one")))
+    assert run("calibrate", "log.mcap", "--junit", junit, cwd=tmp_path).code == 143
+    assert not junit.exists()
+    assert run("evaluate", "log.mcap", "--junit", junit, cwd=tmp_path).code == 2
+    assert "the only path given" in junit.read_text(encoding="utf-8")
 
 
 def test_compare(result, tmp_path):

@@ -336,6 +336,7 @@ CASES = (
     Case("an export in place of the measurements of a calibration", ("export", "out/params.yaml", "--to", "json", "-o", "out/extraction.npz", "--force"), 7, "out/extraction.npz: a file of a calibration, which is only replaced as a whole", result),
     Case("the directory of the JUnit file does not exist", (*SOLVE, "--junit", "no/j.xml"), 7, "no is not a directory", extraction),
     Case("the JUnit file is inside the output", (*SOLVE, "--junit", "out/j.xml"), 7, "--junit out/j.xml: inside --output out", extraction),
+    Case("JUnit on standard output", (*SOLVE, "--junit", "-"), 7, "-: not a name for this output", extraction),
     Case("one file for JUnit and the summary", (*SOLVE, "--junit", "j.xml", "--summary", "./j.xml"), 7, "--junit j.xml: also the path of --summary", extraction),
     Case("the summary is inside the output", (*SOLVE, "--summary", "out/j.md"), 7, "--summary out/j.md: inside --output out", extraction),
     Case("JUnit in place of the table of all robots", ("batch", ".", "-o", "out", "--junit", "out/summary.csv"), 7, "--junit out/summary.csv: also the path of summary.csv"),
