@@ -132,7 +132,8 @@ def gates_of(
         hold_out: whether stations are held out.
 
     Raises:
-        ConfigError: the limit is missing or no number, or the figure is unknown or needs held-out stations.
+        ConfigError: the limit is missing or no number, or the figure is unknown, has two limits on the command line, or
+            needs held-out stations.
     """
     known = tuple(gate_metrics(evaluating=evaluating))
     every = gate_metrics() | gate_metrics(evaluating=True)
@@ -140,10 +141,14 @@ def gates_of(
         if name not in every:
             raise _unknown(f"gates.{name}", name, sorted(every))
     limits = {name: limit for name, limit in config.items() if name in known}
+    given: set[str] = set()
     for text in flags:
         name, _, stated = text.partition("=")
         if name not in known:
             raise _unknown(f"--gate {text}", name, known)
+        if name in given:
+            raise ConfigError(f"--gate {text}: a second limit of {name}", "give one limit for each figure")
+        given.add(name)
         try:
             limits[name] = float(stated)
         except ValueError:

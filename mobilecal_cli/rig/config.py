@@ -17,7 +17,6 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    FiniteFloat,
     PrivateAttr,
     Strict,
     ValidationError,
@@ -54,6 +53,7 @@ def _filled_in(value: object) -> object:
 
 
 Number = Annotated[float, Strict()]  # neither a text nor true
+Finite = Annotated[Number, Field(allow_inf_nan=False)]
 Radius = Annotated[Number, AfterValidator(ranges.WHEEL_RADIUS.validated)]
 Separation = Annotated[Number, AfterValidator(ranges.WHEEL_SEPARATION.validated)]
 Square = Annotated[Number, AfterValidator(ranges.SQUARE.validated)]
@@ -157,7 +157,7 @@ class Pose(_Section):
     example: ClassVar[str] = "{translation_m: [0, 0, 0], quaternion_xyzw: [0, 0, 0, 1]}"
 
     translation_m: Position
-    quaternion_xyzw: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+    quaternion_xyzw: tuple[Finite, Finite, Finite, Finite]
 
     @model_validator(mode="after")
     def _unit_quaternion(self) -> Self:
@@ -359,7 +359,7 @@ class ChainLink(_Section):
     xyz_m: Position | None = None
     rpy_rad: tuple[Angle, Angle, Angle] | None = None
     joint: Text | None = None
-    axis: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    axis: tuple[Finite, Finite, Finite] | None = None
     kind: Literal["revolute", "prismatic"] = "revolute"
 
     @model_validator(mode="after")
@@ -481,7 +481,7 @@ class RigConfig(_Section):
         {},
         description="kind or name of a constant, or all → standard deviation of the stated value, fixed or free",
     )
-    gates: dict[Text, FiniteFloat] = Field({}, description="metric → limit, as for --gate")
+    gates: dict[Text, Finite] = Field({}, description="metric → limit, as for --gate")
     stations: Literal["auto", "all"] = Field(
         "auto",
         description="auto: rests, or keyframes if the robot does not rest; all: every image, including those in motion",

@@ -54,6 +54,7 @@ def test_flags_lie_over_the_configuration():
         (["stations"], {}, "not of the form NAME=LIMIT", "for example"),
         (["stations=many"], {}, "'many' is not a finite number", "for example"),
         (["stations=nan"], {}, "'nan' is not a finite number", "for example"),
+        (["stations=9", "stations=10"], {}, "--gate stations=10: a second limit of stations", "one limit"),
         (["xyz=3"], {}, "--gate xyz=3: unknown figure", "docs/how-to/use-in-ci.md lists all figures"),
     ],
 )

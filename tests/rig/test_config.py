@@ -129,6 +129,7 @@ def test_flags_lie_over_the_file(write):
         ),
         ("board: {square_m: .inf}", "board.square_m: must be from 0.0001 to 10 m (got inf)"),
         ("board: {square_m: true}", "board.square_m: must be a valid number (got True)"),
+        ("gates: {stations: true}", "gates.stations: must be a valid number (got True)"),
         ("board: {square_m: '0.1'}", "board.square_m: must be a valid number (got '0.1')"),
         (
             "nominal: {head_eye: {translation_m: [30, 60, 40], quaternion_xyzw: [0, 0, 0, 1]}}",
