@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import errno
 import reprlib
 from collections.abc import Mapping
@@ -103,10 +104,13 @@ def read_text(path: Path, largest_bytes: int, hint: str = "check the path", kind
     Raises:
         ConfigError: see `read_bytes`, or not UTF-8.
     """
+    data = read_bytes(path, largest_bytes, hint, kind)
     try:
-        return read_bytes(path, largest_bytes, hint, kind).decode("utf-8")
+        return data.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not UTF-8 text (byte {error.start})", hint) from error
+        utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        where = "but UTF-16" if utf_16 else f"byte {error.start}"
+        raise ConfigError(f"{path}: not UTF-8 text ({where})", f"save it as UTF-8, or {hint}") from error
 
 
 #: Words of pydantic → those of this tool; reasons behind a comma repeat the value.

@@ -315,6 +315,7 @@ CASES = (
     Case("`batch` with a rig.yaml", ("batch", "rig.yaml", "-o", "out"), 2, "rig.yaml: not a manifest: it has no key robots", text("rig.yaml", "wheels: {}")),
     Case("a zipped recording", ("calibrate", "log.zip"), 3, "log.zip: a zip archive, but not an extraction", zipped),
     Case("a directory with an extraction alone", ("calibrate", "."), 3, ".: a directory without a recording", lambda folder: (folder / "extraction.npz").write_bytes(b"PK") and None),
+    Case("rig.yaml in UTF-16", RIG, 2, "rig.yaml: not UTF-8 text (but UTF-16)", lambda folder: Path(folder, "rig.yaml").write_text("board: {}", encoding="utf-16") and None),
     Case("an image as the URDF", ("init", LOG, "--urdf", "a.urdf"), 2, "a.urdf: not UTF-8 text (byte 0)", lambda folder: Path(folder, "a.urdf").write_bytes(b"\x89PNG") and None),
     Case("a web page as the URDF", ("calibrate", LOG, "--set", "head.urdf=a.urdf"), 2, "URDF: not valid XML: it has a document type; it begins with '<!DOCTYPE html>", lambda folder: Path(folder, "a.urdf").write_text("<!DOCTYPE html><html>\n") and None),
     Case("a setting without a value", ("calibrate", LOG, "--set", "board.columns="), 2, "--set board.columns=: not KEY=VALUE"),
