@@ -21,7 +21,7 @@ from mobilecal_cli.calibrate.detect import (
     plan_recording,
     undecodable,
 )
-from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, clocks_noted
+from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, causes_noted, clocks_noted
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.export.extraction import THUMBNAILS
 from mobilecal_cli.kinematics import head_pose
@@ -170,7 +170,8 @@ def _extracted(
     """The data of one recording: one log, or one for each piece between steps of its clocks."""
     progress("reading", 0, None)
     survey = describe(recording, config, earlier=earlier[0].description if earlier else None)
-    rig = complete_rig(survey)
+    with causes_noted(note for part in recording.parts for note in list(part.damage)[:1]):
+        rig = complete_rig(survey)
     plans, signals, plan_notes = plan_recording(recording, rig, config.stations == "all")
     if signals.infos or signals.ahead_m:
         infos = {**survey.description.infos, **signals.infos}

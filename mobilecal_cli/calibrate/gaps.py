@@ -105,9 +105,15 @@ def require_observable(extraction: Extraction) -> None:
 @contextmanager
 def clocks_noted(notes: Iterable[str]) -> Iterator[None]:
     """End the hint of an error with the note on clocks that differ, if there is one: they may be its cause."""
+    with causes_noted(note for note in notes if note.startswith(CLOCKS_DIFFER)):
+        yield
+
+
+@contextmanager
+def causes_noted(notes: Iterable[str]) -> Iterator[None]:
+    """End the hint of an error with notes that may be its cause."""
     try:
         yield
     except MobilecalError as error:
-        clocks = (note for note in notes if note.startswith(CLOCKS_DIFFER) and note not in error.hint)
-        error.hint = noting(error.hint, clocks)
+        error.hint = noting(error.hint, (note for note in notes if note not in error.hint))
         raise

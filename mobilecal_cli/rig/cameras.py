@@ -128,14 +128,16 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
 
 
 def _check_other_side(image: str, description: RobotDescription) -> None:
-    """Refuse one camera of a stereo pair whose other camera has a camera info, and no images."""
-    namespace = image.removesuffix("/compressed").rsplit("/", 1)[0]
-    for topic in description.infos:
-        other, _, name = topic.rpartition("/")
-        if name == "camera_info" and other != namespace and mirrored(other) == mirrored(namespace):
+    """Refuse one camera of a stereo pair whose other camera has topics, and no images."""
+    namespace = image.removesuffix("/compressed").rpartition("/")[0]
+    for topic in description.topics:
+        other, _, name = topic.name.removesuffix("/compressed").rpartition("/")
+        of_camera = name == "camera_info" or topic.type in IMAGES
+        if of_camera and other != namespace and mirrored(other) == mirrored(namespace):
+            lacking = f"{other}{image.removeprefix(namespace)}"
             raise RecordingError(
-                f"the stereo pair has images of one camera only: {topic} was recorded without images",
-                f"record {other}{image.removeprefix(namespace)} too; to use {image} alone, state board.square_m",
+                f"the stereo pair has images of one camera only: this recording has none on {lacking}",
+                f"record {lacking} too; to use {image} alone, state board.square_m",
             )
 
 

@@ -134,6 +134,14 @@ def test_recordings_of_two_boards_are_refused(sample_logs, tmp_path, order):
     assert f"{first} one of {its} inner corners, {other} one of {size}" in caught.value.message
 
 
+def test_a_refusal_notes_that_the_recording_is_cut_off(sample_logs, tmp_path):
+    (tmp_path / "cut.mcap").write_bytes((sample_logs / "straight.mcap").read_bytes()[:60_000])
+    with pytest.raises(RecordingError, match="has none on /stereo/right/image_raw/compressed") as caught:
+        extract([tmp_path / "cut.mcap"], load_rig(None))
+    assert caught.value.hint.count("; noted: ") == 1
+    assert "the file ends inside a chunk at byte 47 of 60000" in caught.value.hint
+
+
 def test_damage_is_noted(sample_logs, tmp_path):
     topic = "/stereo/left/image_raw/compressed"
     records = list(records_of(sample_logs / "paper_robot.mcap"))

@@ -101,11 +101,16 @@ def test_a_log_tells_everything():
     assert not rig.cameras.rectified
 
 
-def test_a_stereo_pair_with_the_images_of_one_camera():
+@pytest.mark.parametrize("other", ["a camera info", "an empty topic"])
+def test_a_stereo_pair_with_the_images_of_one_camera(other):
+    """With an empty topic of the other, as in a recording that was cut off, the advice was to measure squares."""
     log = description(images=("/stereo/left/image_raw",))
-    with pytest.raises(
-        RecordingError, match="/stereo/right/camera_info was recorded without images"
-    ) as error:
+    if other == "an empty topic":
+        empty = TopicInfo("/stereo/right/image_raw", "sensor_msgs/msg/Image", 0)
+        kept = tuple(topic for topic in log.topics if topic.name != "/stereo/right/camera_info")
+        infos = {"/stereo/left/camera_info": info("left")}
+        log = replace(log, topics=(*kept, empty), infos=infos)
+    with pytest.raises(RecordingError, match="has none on /stereo/right/image_raw") as error:
         resolve_rig(RigConfig(), log)
     assert error.value.hint.startswith("record /stereo/right/image_raw too;")
     alone, _ = resolve_rig(config(board={"square_m": 0.08}), log)
