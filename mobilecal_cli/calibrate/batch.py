@@ -24,7 +24,7 @@ from mobilecal_cli.calibrate.extract import size_bytes
 from mobilecal_cli.calibrate.steps import Report, calibrate
 from mobilecal_cli.calibrate.workers import answer, processes
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError, RecordingError
-from mobilecal_cli.export.outputs import OUTPUT_NAMES, check_output, recognized_output, write_outputs
+from mobilecal_cli.export.outputs import OUTPUT_NAMES, write_outputs
 from mobilecal_cli.files.interruption import naming_interruptions, placed
 from mobilecal_cli.files.placing import already_exists
 from mobilecal_cli.files.reading import LARGEST_BYTES, mapping_of, problems_of, read_text
@@ -245,11 +245,6 @@ def run_job(job: FleetJob) -> FleetRow:
     return replace(row, seconds=round(time.perf_counter() - began_s, 3))
 
 
-def owns_result(job: FleetJob) -> bool:
-    """Whether the batch wrote the result of a robot that exists, also if it was killed before it could say so."""
-    return _params_digest(job) in _record(job).params
-
-
 class _Record(BaseModel, frozen=True):
     """What a batch keeps of the result of a job. It is written before the result, and counts once that is in place.
 
@@ -370,13 +365,9 @@ def batch(
         OutputError: the outputs cannot be written.
     """
     jobs = fleet_jobs(source, output, config_path, flags or {}, gates, force)
-    # Before the work: everything in the way must be a result of this batch, or be replaceable.
     for path in (output / name for name in SUMMARIES):
         if path.exists() and not (output / RECORDS).is_dir() and not force:
             raise already_exists(path)
-    for job in jobs:
-        if os.path.lexists(job.output / job.name):
-            check_output(job.output / job.name, force or owns_result(job), recognize=recognized_output)
     rows: dict[str, FleetRow] = {}
     new = [path for path in (output / RECORDS, output) if not path.exists()]
     try:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import signal
 import socket
 import sys
@@ -22,7 +23,7 @@ from mobilecal_cli.calibrate.batch import on_cluster
 from mobilecal_cli.calibrate.steps import calibrate
 from mobilecal_cli.errors import ConfigError, OutputError
 from mobilecal_cli.export.extraction import extraction_to_npz
-from mobilecal_cli.export.outputs import OUTPUT_NAMES, write_outputs
+from mobilecal_cli.export.outputs import OUTPUT_NAMES, check_output, recognized_output, write_outputs
 from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.files import interruption
 from mobilecal_cli.model import LogSource
@@ -355,6 +356,7 @@ def counted(monkeypatch):
     ran = []
 
     def answer(logs, out, *, config, force, before_writing, **_):
+        check_output(out, force, recognize=recognized_output)
         ran.append(out.name)
         read_urdf(config)
         params = f"{FIRST_LINE}# {len(ran)}\n"
@@ -372,23 +374,36 @@ def of_one(folder):
     return manifest(folder, "{name: a, logs: [a.mcap]}")
 
 
-def test_a_result_of_someone_else_needs_force(tmp_path, monkeypatch, counted):
-    source, out = of_one(tmp_path), tmp_path / "out"
+def needs_force(source, out):
+    """That the first robot is an error, as a result is in its place; the rows of the others."""
+    row, *others = batch_module.batch(source, out, run=in_this_process)
+    assert (row.verdict, row.exit_code) == ("ERROR", OutputError.exit_code)
+    assert "already exists" in row.reason
+    assert "--force" in row.hint
+    return others
+
+
+def test_a_result_of_someone_else_needs_force(tmp_path, counted):
+    """It stopped the whole batch."""
+    (tmp_path / "b.mcap").write_bytes(b"b")
+    (tmp_path / "a.mcap").write_bytes(b"a")
+    source = manifest(tmp_path, "{name: a, logs: [a.mcap]}", "{name: b, logs: [b.mcap]}")
+    out = tmp_path / "out"
     batch_module.batch(source, out, run=in_this_process)
     params = out / "a" / "params.yaml"
     edited = params.read_bytes() + b"# edited\n"
     params.write_bytes(edited)
-    with monkeypatch.context() as patch:
-        error = refused_before_the_work(source, out, patch, OutputError, "already exists")
-    assert "--force" in error.hint
+    shutil.rmtree(out / "b")
+    (other,) = needs_force(source, out)
+    assert (other.name, other.exit_code, other.skipped) == ("b", 0, "")
     assert params.read_bytes() == edited
     batch_module.batch(source, out, force=True, run=in_this_process)
     assert not params.read_bytes().endswith(b"# edited\n")
     (out / "a" / "thesis.tex").write_text("precious")
     for record in (out / batch_module.RECORDS).iterdir():
         record.unlink()
-    with pytest.raises(OutputError, match=r"thesis\.tex"):
-        batch_module.batch(source, out, force=True, run=in_this_process)
+    row, _ = batch_module.batch(source, out, force=True, run=in_this_process)
+    assert "thesis.tex" in row.reason
     assert (out / "a" / "thesis.tex").exists()
 
 
@@ -407,8 +422,7 @@ def test_a_result_that_was_edited_after_an_interruption_needs_force(tmp_path, mo
                 batch_module.batch(source, out, run=in_this_process, gates=["stations=3"])
         params = out / "a" / "params.yaml"
         params.write_bytes(params.read_bytes() + b"# edited\n")
-        with monkeypatch.context() as patch:
-            refused_before_the_work(source, out, patch, OutputError, "already exists")
+        needs_force(source, out)
         params.write_bytes(params.read_bytes().removesuffix(b"# edited\n"))
 
 
