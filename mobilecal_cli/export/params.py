@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -23,7 +25,7 @@ from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.text import dump, rendered
 from mobilecal_cli.files.reading import mapping_of, problems_of
-from mobilecal_cli.likelihood.constants import kind_of
+from mobilecal_cli.likelihood.constants import CONSTANTS, KINDS, joint_constants, kind_of
 from mobilecal_cli.model import (
     FACTORS,
     NINE,
@@ -302,6 +304,23 @@ def _chain_of(settings: RigConfig) -> HeadChain | None:
     return HeadChain(head.base_frame or "", head.head_frame or "", links, joints.pan or "", joints.tilt or "")
 
 
+def _refuse_unknown(constants: Iterable[str], settings: RigConfig, name: str) -> None:
+    """Refuse a constant that the robot of these settings cannot have: its value would be ignored."""
+    chain, cameras = _chain_of(settings), {*settings.cameras.each, settings.cameras.reference or "left"}
+    known = [row.name for row in (*CONSTANTS, *(() if chain is None else joint_constants(chain)))]
+    of_head = {"joint_zero", "joint_scale", "joint_axis", "joint_position", "backlash"}
+    patterns = [
+        kind.names if kind.name in of_head else kind.names.replace(".+", f"({'|'.join(cameras)})")
+        for kind in KINDS
+        if kind.names and (chain is None or kind.name not in of_head)
+    ]
+    for constant in constants:
+        if constant not in known and not any(re.fullmatch(pattern, constant) for pattern in patterns):
+            near = difflib.get_close_matches(constant, known, 1)
+            hint = f"did you mean {near[0]}?" if near else f"remove it; known: {', '.join(known)}"
+            raise ConfigError(f"{name}: constants.{constant}: unknown constant", hint)
+
+
 def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobot:
     """Read the parameters, their uncertainty and provenance; other keys are ignored.
 
@@ -309,7 +328,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         name: its name in error messages.
 
     Raises:
-        ConfigError: not YAML, another schema version, a missing key or an invalid value.
+        ConfigError: not YAML, another schema version, a missing key, an invalid value, or an unknown constant.
     """
     try:
         checked = _File.model_validate(mapping_of(text, name, _HINT))
@@ -331,6 +350,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     elsewhere = read_elsewhere.get("elsewhere", {}) if isinstance(read_elsewhere, dict) else {}
     settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
     joints = {side: wheel.side_joints for side, wheel in settings.wheels.of_sides.items()}
+    _refuse_unknown(constants or {}, settings, name)
     sizes = checked.wheels or checked.odometry
     assert sizes is not None  # checked above
     return CalibratedRobot(

@@ -207,6 +207,18 @@ def with_constants(solution, extraction):
     return found, dataclasses.replace(extraction, rig=rig)
 
 
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [("focal_left", "focal_lef"), ("board_bend_x", "board_bnd_x")],
+)
+def test_a_constant_of_an_unknown_name(extraction, solution, right, wrong):
+    """It was ignored."""
+    text = params_of(*with_constants(solution, extraction)).replace(f"{right}:", f"{wrong}:")
+    with pytest.raises(ConfigError, match=rf"constants\.{wrong}: unknown constant") as caught:
+        parameters_from_yaml(text)
+    assert caught.value.hint == f"did you mean {right}?"
+
+
 def test_constants_are_listed_with_their_units(extraction, solution):
     found, lifted = with_constants(solution, extraction)
     text = params_of(found, lifted)
