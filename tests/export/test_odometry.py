@@ -14,7 +14,7 @@ from mobilecal_cli.export.formats.odometry_covariance import odometry_covariance
 from mobilecal_cli.export.text import rendered
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, WheelGeometry
+from mobilecal_cli.model import AssumedOdometry, CalibratedRobot, Knowledge, LogSource, WheelGeometry
 from mobilecal_cli.model import Noise as LegNoise
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.targets import Target
@@ -112,7 +112,7 @@ def test_the_levels_of_the_covariance(extraction):
 def test_the_file_has_the_parameters_of_both_nodes(extraction):
     """Names and lengths as documented by ros2_controllers and robot_localization; read by another YAML loader."""
     found = odometry_covariance(robot_with(), extraction, RATE_HZ)
-    data = yaml.safe_load(rendered("odometry_covariance.yaml", covariance=found))
+    data = yaml.safe_load(rendered("odometry_covariance.yaml", covariance=found, topic="/odom"))
     controller = data["diff_drive_controller"]["ros__parameters"]
     assert set(controller) == {"publish_rate", "pose_covariance_diagonal", "twist_covariance_diagonal"}
     assert controller["pose_covariance_diagonal"] == pytest.approx(found.pose.tolist())
@@ -145,3 +145,17 @@ def test_a_note_on_short_legs(extraction, tmp_path, monkeypatch, distance_m, not
     made = exporting.export(tmp_path / "params.yaml", Target.odometry_covariance, distance_m=distance_m)
     assert any("--distance" in note for note in made.notes) == noted
     assert yaml.safe_load(made.content)["diff_drive_controller"]
+
+
+@pytest.mark.parametrize("topic", ["/diff_drive_controller/odom", "/base/odom"])
+def test_the_filter_reads_the_odometry_of_the_calibration(extraction, tmp_path, monkeypatch, topic):
+    """For odometry alone, it read another topic than that of the recording."""
+    robot = robot_with()
+    if topic == "/base/odom":
+        robot = replace(robot, odometry=AssumedOdometry(topic, robot.wheels))
+    monkeypatch.setattr(exporting, "read_params", lambda _: robot)
+    (tmp_path / "extraction.npz").write_bytes(
+        extraction_to_npz(replace(extraction, logs=(LogSource("log.mcap", "0" * 64),)))
+    )
+    made = exporting.export(tmp_path / "params.yaml", Target.odometry_covariance)
+    assert yaml.safe_load(made.content)["ekf_filter_node"]["ros__parameters"]["odom0"] == topic

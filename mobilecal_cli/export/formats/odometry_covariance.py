@@ -44,7 +44,8 @@ def export(of: Source, rate_hz: float | None = None, distance_m: float | None = 
         f"The legs of the recording are {covariance.path_m:.2f} m long on average, and the covariance applies to "
         "such drives. Give the length of your drives with --distance."
     )
-    content = rendered("odometry_covariance.yaml", covariance=covariance)
+    topic = "/diff_drive_controller/odom" if of.robot.odometry is None else of.robot.odometry.topic
+    content = rendered("odometry_covariance.yaml", covariance=covariance, topic=topic)
     return Exported(content.encode(), (note,) if short else ())
 
 
