@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from mobilecal_cli.errors import MobilecalError, ObservationError, SolveError, noting
 from mobilecal_cli.kinematics import FEWEST_LEGS, unseen_height
 from mobilecal_cli.model import CLOCKS_DIFFER, Extraction
-from mobilecal_cli.report.motion import Gap, motion_gaps
+from mobilecal_cli.report.motion import Gap, motion_gaps, nearer
 from mobilecal_cli.stations import FROZEN, NO_READINGS
 from mobilecal_cli.vision import (
     AMBIGUOUS,
@@ -66,6 +66,8 @@ def require_stations(extraction: Extraction) -> None:
         said = next(item.detail for item in extraction.rejections if item.reason == reason)
         said = said.partition("(")[2].partition(")")[0] or said
         cure = f"correct the board in rig.yaml (columns, rows, dictionary, first_id, gap_share): {said}"
+    if closer := nearer(extraction):
+        cure = closer
     if reason == SECOND_BOARD:
         cure = "cover or remove the other checkerboard: only one may be in view"
     if reason == SQUARES_UNKNOWN:

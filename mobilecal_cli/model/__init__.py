@@ -76,6 +76,7 @@ from mobilecal_cli.model.signals import (
     DEPTH_IMAGE,
     FEW_READINGS,
     NO_IMAGES,
+    SQUARES_SMALL,
     TURNS_AT_REST,
     PictureIndex,
     Rejection,

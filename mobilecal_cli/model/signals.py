@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 
@@ -115,6 +115,8 @@ class PictureIndex(ReadOnly):
 
 #: Begin of a note on cameras that recorded nothing while the robot moved.
 NO_IMAGES = "No images for"
+#: Reason of rejections: the board is too far away for the resolution of the images.
+SQUARES_SMALL: Final = "squares too small"
 #: In messages on images that cannot be decoded.
 DEPTH_IMAGE = "a depth or disparity image, not one of a camera"
 #: Part of a note on joints or wheels that are published too slowly.

@@ -40,7 +40,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import capitalized, visible
 from mobilecal_cli.report.criteria import CHANGED, Case, Check, Metric, Outcome, criterion
 from mobilecal_cli.report.findings import ERROR_PARTS, contradiction_sentences
-from mobilecal_cli.report.motion import MOTION, missing_motion, motion_cure, small_motion
+from mobilecal_cli.report.motion import MOTION, missing_motion, motion_cure, nearer, small_motion
 from mobilecal_cli.report.numbers import (
     PARAMETERS,
     odometry_factors,
@@ -155,8 +155,9 @@ def stations(case: Case, metric: Metric) -> Iterator[Check]:
         causes.append(visible(f"Not used, {count} {what}{'s' * (count != 1)}: {reason}{of}."))
     lost = f" {causes[0]}" if causes else ""
     again = "Remove this cause, and record again" if causes else "Record again"
+    closer = capitalized(nearer(case.extraction))
     yield metric.check(
-        have, MIN_STATIONS, name, f"{again} with more stops {show}.",
+        have, MIN_STATIONS, name, f"{closer or f'{again} with more stops {show}'}.",
         why=f"{shown} at {have} stations only (limit {MIN_STATIONS}, recommended 12).{lost}",
     )  # fmt: skip
 
@@ -1120,10 +1121,11 @@ def rejected(case: Case, metric: Metric) -> Iterator[Check]:
     """Share of rejected stations."""
     detected, used = stations_looked_at(case.extraction), len(case.extraction.observations)
     counts, lost = rejection_counts(case.extraction), f"{detected - used} of {detected}"
+    cure = nearer(case.extraction) or "open the stations in the report, remove the cause, and record again"
     often = f" (most often: {visible(next(iter(counts))[1])})" if counts else ""
     yield metric.check(
         100 * (1 - used / detected), 50.0, "rejected stations",
-        "Open the stations in the report, remove the cause, and record again.",
+        f"{capitalized(cure)}.",
         measured=f"{lost}{often}",
         beyond="warning",
     )  # fmt: skip

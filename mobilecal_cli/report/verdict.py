@@ -101,7 +101,9 @@ def decided_by(check: Check, checks: tuple[Check, ...], gates: Collection[str] =
     level: Level = "NOT ENOUGH" if check.outcome == "not_enough" else "FAIL"
     if check.id.startswith(GATE):
         level = "GATE FAILED"
-    first = _first(checks) if level == "NOT ENOUGH" else ""  # a new recording would show the same
+    first = ""
+    if level == "NOT ENOUGH":  # a new recording would show the same
+        first = _first(each for each in checks if each.next_step != check.next_step)
     label = "" if level == "GATE FAILED" else "Gate failed: "
     others = (
         f"{label * each.id.startswith(GATE)}{each.why}"

@@ -12,7 +12,7 @@ from math import erf, sqrt
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import BoolArray, FloatArray, GrayImage, IntArray
+from mobilecal_cli.model import SQUARES_SMALL, BoolArray, FloatArray, GrayImage, IntArray
 from mobilecal_cli.vision.corner_model import FittedCorners, fit_corners, upper_median
 from mobilecal_cli.vision.grid import smallest_edge_px
 from mobilecal_cli.vision.grid_map import GridMap, fit_grid
@@ -42,7 +42,7 @@ def check_size(grid: FloatArray) -> Miss | None:
     edge_px = smallest_edge_px(grid)
     if edge_px >= MIN_EDGE_PX:
         return None
-    return Miss("squares too small", f"smallest square {edge_px:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
+    return Miss(SQUARES_SMALL, f"smallest square {edge_px:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
 
 
 def _limit_px(grid_map: GridMap) -> float:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import Board, FloatArray, GrayImage
+from mobilecal_cli.model import SQUARES_SMALL, Board, FloatArray, GrayImage
 from mobilecal_cli.vision.acceptance import (
     accepted,
     check_colors,
@@ -30,7 +30,7 @@ _SMALLEST_PICTURE = 64  # px; OpenCV refuses smaller ones
 _ADAPTIVE = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _PAINTED = 1.2  # margin painted over beyond the corners, in squares
 # Reasons that no other search changes.
-_FINAL = ("squares too small", "board extends beyond the grid", "blurred")
+_FINAL = (SQUARES_SMALL, "board extends beyond the grid", "blurred")
 _TELLING = 0.3  # share of the expected corners; a smaller grid is no evidence of the board
 # Corner counts at which growing stops: the first usually covers the whole board, the second tries everything.
 _ENOUGH = (1, 10_000)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import Board, FloatArray, GrayImage, IntArray, Markers
+from mobilecal_cli.model import SQUARES_SMALL, Board, FloatArray, GrayImage, IntArray, Markers
 from mobilecal_cli.vision.acceptance import MIN_EDGE_PX
 from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.grid_map import scatter_px
@@ -70,7 +70,7 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
         good[np.flatnonzero(good)[gross]] = False
     edge = _edge_px(grid[good], pixels[good])
     if edge < MIN_EDGE_PX:
-        return Miss("squares too small", f"square side {edge:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
+        return Miss(SQUARES_SMALL, f"square side {edge:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
     sigma_px = max(rms(scatter_px(grid[good], pixels[good])), _FLOOR_PX if cov is None else FLOOR_PX)
     pixels = np.where(good[:, None], pixels, 0.0)
     if cov is None:
@@ -203,7 +203,7 @@ def _fitted(
     fitted = fit.fitted[numbers]
     if np.mean(fitted) < _MOST:
         return Miss(
-            "squares too small", f"{fitted.sum()} of {len(numbers)} corners are far enough from their markers"
+            SQUARES_SMALL, f"{fitted.sum()} of {len(numbers)} corners are far enough from their markers"
         )
     return numbers[fitted], fit.pixels[numbers[fitted]], fit.cov[numbers[fitted]]
 

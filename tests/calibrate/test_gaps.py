@@ -6,10 +6,11 @@ import pytest
 from mobilecal_cli.calibrate.gaps import require_observable, require_stations
 from mobilecal_cli.calibrate.steps import fitted, held_out
 from mobilecal_cli.errors import ObservationError, SolveError
-from mobilecal_cli.model import CLOCKS_DIFFER, NINE, Nominal, Rejection, WheelTrack
+from mobilecal_cli.model import CLOCKS_DIFFER, NINE, SQUARES_SMALL, Nominal, Rejection, WheelTrack
 from mobilecal_cli.report.motion import motion_gaps
 from mobilecal_cli.vision import AMBIGUOUS, SQUARES_UNKNOWN
 from tests.extractions import Noise, joined, simulated
+from tests.judging import judge
 
 
 @cache
@@ -24,6 +25,24 @@ def test_clocks_that_differ_may_be_the_cause():
         with pytest.raises(ObservationError) as raised:
             fitted(replace(extraction("standard"), observations=(), notes=own))
         assert raised.value.hint.partition("; noted: ")[1:] == said
+
+
+def test_small_squares_ask_for_a_place_closer_to_the_board():
+    """ "Keep it at rest, in good light", and where some stations are left, "record again with more stops"."""
+    whole = extraction("standard", Noise(0.2, 0.003, 0.0209, 0.001))
+    said = "smallest square 6.1 px, minimum 7 px"
+    detail = f"2 stereo pairs; left: 2 x {SQUARES_SMALL} ({said}); right: 2 x {SQUARES_SMALL} (another)"
+    rejections = tuple(Rejection("vision", SQUARES_SMALL, detail, 10**9 * k, k) for k in range(9))
+    few = replace(whole, observations=whole.observations[:3], rejections=rejections)
+    with pytest.raises(ObservationError) as raised:
+        require_stations(few)
+    assert raised.value.hint == f"record closer to the board, or with larger squares (for example: {said})"
+    few = replace(few, observations=whole.observations[:6])
+    verdict = judge(fitted(few).solution, few)
+    assert (
+        verdict.next_step.count(f"ecord closer to the board, or with larger squares (for example: {said}).")
+        == 1
+    )
 
 
 @pytest.mark.parametrize("motion", ["standard", "large_turns", "moving"])
