@@ -17,6 +17,7 @@ from mobilecal_cli.calibrate.sample import sample_board
 from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate, unseen_height
 from mobilecal_cli.likelihood.constants import table
+from mobilecal_cli.likelihood.processes import path_m
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     NINE,
@@ -267,9 +268,9 @@ def _motion(
     }
     driven_m = turned_deg = None
     if rig.nominal.wheels is not None:
-        legs = [integrate(cut_at(track, _seconds(track)), rig.nominal.wheels) for track in wheels]
-        driven_m = float(sum(np.linalg.norm(arcs.t_m, axis=1).sum() for arcs in legs))
-        turns_rad = [0.0, *(psi for arcs in legs for psi in arcs.psi_rad)]
+        steps = [cut_at(track, _seconds(track)) for track in wheels]
+        driven_m = float(sum(path_m(each, rig.nominal.wheels).sum() for each in steps))
+        turns_rad = [0.0, *(psi for each in steps for psi in integrate(each, rig.nominal.wheels).psi_rad)]
         turned_deg = float(np.degrees(np.ptp(np.cumsum(turns_rad))))
     share = recording.share(rig.sources.motion, extent)
     rests = _rests(rig, logs, wheels, times, share, findings)

@@ -278,7 +278,7 @@ def test_ranges_of_joints_and_wheels_are_told(sample_logs, rig, few):
     found = inspect.check(rig, [sample_logs / "paper_robot.mcap"])
     (line,) = [line for line in checklist(found) if line.about == "motion"]
     assert "head_pan_joint -31 to 31 deg, head_tilt_joint -8 to 15 deg" in line.what
-    assert "left wheel 1682 deg, right wheel 1729 deg, driven 4.1 m with the nominal wheels" in line.what
+    assert "left wheel 1682 deg, right wheel 1729 deg, driven 4.7 m with the nominal wheels" in line.what
 
 
 @pytest.fixture(scope="module")

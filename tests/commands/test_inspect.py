@@ -28,6 +28,7 @@ def test_sample_log(sample_logs, name):
     assert topics["/robot_description"].rate_hz is None
     assert found.motion is not None
     assert found.motion.rests == 12
+    assert found.motion.driven_m == pytest.approx(4.72, rel=0.01)  # as a calibration reports; it was 4.1
     assert found.motion.share_read == 1
     assert (found.board.pictures, found.board.seen, found.board.size) == (12, 12, (9, 6))
     assert (found.missing, found.weak, found.notes) == ((), (), ())
