@@ -110,7 +110,7 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
                 )
         return chosen
     pair = _pair(config, description, present, chosen)
-    single = None if chosen else _single(present, cameras.rectified, acceptable=pair is not None)
+    single = None if chosen else _single(description, cameras.rectified, acceptable=pair is not None)
     if pair is not None:
         of_rgbd = single is not None and _COLOR & {*words(single)} and _INFRARED & {*words(pair["left"])}
         if config.board.square_m is None or not of_rgbd:
@@ -192,6 +192,10 @@ def _pair(
     candidates = alike or candidates
     if not candidates:
         return None
+    described = [
+        pair for pair in candidates if all(_described(topic, description) for topic in pair.values())
+    ]
+    candidates = described or candidates
     cameras: dict[tuple[str, ...], dict[Side, str]] = {}  # pairs that differ only in the form of their images
     for pair in candidates:
         cameras.setdefault(_camera_of(mirrored(pair["left"])), pair)
@@ -242,13 +246,16 @@ def named_cameras(description: RobotDescription) -> dict[str, str]:
     return named
 
 
-def _single(present: Mapping[str, TopicInfo], rectified: bool | None, acceptable: bool) -> str | None:
-    """Image topic of the only camera, or of the only color camera; None if there is none.
+def _single(description: RobotDescription, rectified: bool | None, acceptable: bool) -> str | None:
+    """Image topic of the only camera, or of the only one with a camera info, or of color; None if there is none.
 
     Raises:
         ConfigError: several cameras, unless they are acceptable.
     """
+    present = _image_topics(description)
     cameras = _each_camera(present, rectified)
+    described = {own: names for own, names in cameras.items() if _described(names[0], description)}
+    cameras = described or cameras
     color = {own: names for own, names in cameras.items() if any(_COLOR & {*words(name)} for name in names)}
     visible = {own: names for own, names in cameras.items() if _INFRARED.isdisjoint(words(names[0]))}
     for some in (cameras, color, visible):
@@ -266,6 +273,16 @@ def _single(present: Mapping[str, TopicInfo], rectified: bool | None, acceptable
     return None
 
 
+def _info_beside(image: str) -> str:
+    """The usual camera-info topic of an image topic."""
+    return f"{image.removesuffix('/compressed').rpartition('/')[0]}/camera_info"
+
+
+def _described(image: str, description: RobotDescription) -> bool:
+    """Whether an image topic has a camera info beside it: those of detectors, which draw on images, have none."""
+    return _info_beside(image) in {*description.infos, *description.unusable}
+
+
 def info_topic(name: str, image: str, config: RigConfig, description: RobotDescription) -> str:
     """Camera-info topic of an image topic: as configured, in the same namespace, or with the same frame.
 
@@ -276,7 +293,7 @@ def info_topic(name: str, image: str, config: RigConfig, description: RobotDescr
     configured = config.cameras.of(name).info
     if configured is not None:
         require_topic(f"cameras.{name}.info", configured, present, "camera info")
-    beside = f"{image.removesuffix('/compressed').rsplit('/', 1)[0]}/camera_info"
+    beside = _info_beside(image)
     both = config.cameras.both is not None
     frame = "" if both else description.image_frames.get(image, "")
     choices = (

@@ -947,6 +947,21 @@ def test_several_cameras_are_the_choice_of_the_user(topics):
     assert told.value.hint.startswith("for a stereo pair, set cameras.left.image and cameras.right.image")
 
 
+@pytest.mark.parametrize(
+    ("topics", "chosen"),
+    [
+        (("/usb_cam/image_raw", "/apriltag/detections_image"), (0,)),
+        (("/apriltag/left/image", "/apriltag/right/image", "/left/image_raw", "/right/image_raw"), (2, 3)),
+    ],
+)
+def test_images_of_a_detector_without_camera_info_are_no_camera(topics, chosen):
+    """They were a second camera, or a second pair."""
+    log = recorded(*topics, baseline_m=0.06)
+    infos = {topic: each for topic, each in log.infos.items() if not topic.startswith("/apriltag")}
+    found = image_topics(SQUARE, replace(log, infos=infos))
+    assert tuple(found.values()) == tuple(topics[k] for k in chosen)
+
+
 def test_depth_alone_is_no_camera():
     with pytest.raises(RecordingError, match="this tool serves a stereo pair, a single camera"):
         image_topics(SQUARE, recorded("/camera/depth/image_raw"))
