@@ -172,6 +172,8 @@ def _pair(
 ) -> dict[Side, str] | None:
     """Image topics of the stereo pair, None if there is none.
 
+    Without a baseline, left and right beside a third camera are three cameras that look to different sides.
+
     Raises:
         ConfigError: several stereo cameras.
     """
@@ -206,7 +208,13 @@ def _pair(
             "set cameras.left.image and cameras.right.image in rig.yaml",
         )
     left = _preferred((pair["left"] for pair in candidates), present)
-    return next(pair for pair in candidates if pair["left"] == left)
+    pair = next(pair for pair in candidates if pair["left"] == left)
+    each = [topics[0] for topics in _each_camera(present, None).values()]
+    around = sum(_described(topic, description) for topic in each) > len(SIDES)
+    if around and not chosen and config.cameras.right.pose is None:
+        alone = all(_described(topic, description) for topic in pair.values())
+        return None if alone and not _has_baseline(pair, config, description) else pair
+    return pair
 
 
 def _has_baseline(pair: Mapping[Side, str], config: RigConfig, description: RobotDescription) -> bool:

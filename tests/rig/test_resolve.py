@@ -907,10 +907,13 @@ def test_the_color_camera_is_the_single_one(topics, chosen):
         ("/zed/zed_node/left/image_rect_color", "/zed/zed_node/right/image_rect_color"),
         ("/oak/left/image_raw", "/oak/right/image_raw"),
         ("/camera/left_ir/image_raw", "/camera/right_ir/image_raw"),
+        ("/left/image_raw", "/right/image_raw"),
     ],
 )
 def test_pairs_of_drivers(left, right):
-    found = image_topics(SQUARE, recorded(right, left, "/camera/depth/image_raw", baseline_m=0.06))
+    found = image_topics(
+        SQUARE, recorded(right, left, "/camera/depth/image_raw", "/front/image_raw", baseline_m=0.06)
+    )
     assert found == {"left": left, "right": right}
 
 
@@ -938,6 +941,7 @@ def test_a_pair_of_different_compression_where_there_is_no_other(topics, chosen)
         ("/camera1/image_raw", "/camera2/image_raw"),  # no baseline: two single cameras
         ("/front/color/image_raw", "/back/color/image_raw"),
         ("/front/image_raw", "/side/image_raw", "/back/image_raw"),
+        ("/front/image_raw", "/left/image_raw", "/right/image_raw"),  # no baseline: cameras all around
     ],
 )
 def test_several_cameras_are_the_choice_of_the_user(topics):
