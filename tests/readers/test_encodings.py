@@ -16,6 +16,7 @@ from mcap_protobuf.writer import Writer as ProtobufWriter
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JointField, PictureIndex, Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_description, read_images
+from mobilecal_cli.readers.messages import stamp_of
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.resolve import complete_rig, survey_rig
 from tests.records import Record, written
@@ -201,6 +202,26 @@ def test_transforms_in_json_that_are_none(tmp_path, fields):
     path = r.write_json(tmp_path / "log.mcap", [("/tf", r.START_NS, "tf2_msgs/TFMessage", fields)])
     with open_recording([path]) as recording:
         assert read_description(recording).transforms == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "stamp_ns"),
+    [
+        ("2023-11-14T22:13:20.123456789Z", 1_700_000_000_123_456_789),
+        ("2023-11-14T23:13:20,5+01:00", 1_700_000_000_500_000_000),
+        ("2023-11-14 22:13:20", 1_700_000_000_000_000_000),
+        ("1700000000.020000000", 1_700_000_000_020_000_000),
+        ("1700000000", 1_700_000_000_000_000_000),
+    ],
+)
+def test_stamps_in_json_that_are_texts(tmp_path, text, stamp_ns):
+    """They were no header: a calibration without a frame was "not a valid camera info"."""
+    state = {"header": {"stamp": text, "frame_id": ""}, "name": ["pan"], "position": [0.5]}
+    image = {"timestamp": text, "format": "png", "data": ""}
+    messages = [("/j", 1, "sensor_msgs/JointState", state), ("/eye", 2, "foxglove.CompressedImage", image)]
+    with open_recording([r.write_json(tmp_path / "log.mcap", messages)]) as recording:
+        stamps = [stamp_of(message.decode(), 0) for message in recording.messages(["/j", "/eye"])]
+    assert stamps == [stamp_ns, stamp_ns]
 
 
 def test_an_image_in_json_whose_stamp_is_no_number_is_left_out(tmp_path):

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import dataclass
+from datetime import datetime
 from functools import lru_cache
 from graphlib import TopologicalSorter
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import zstandard
@@ -190,9 +192,30 @@ def _from_protobuf(message: Decoded) -> Decoded:
     return result
 
 
+#: A time as text: seconds, or a date and a time of day with its zone (UTC without one); and the digits of a fraction.
+_TIME = re.compile(r"(\d{1,12}|\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?(Z|[+-]\d\d:?\d\d)?")
+
+
+def _time_of(text: str) -> SimpleNamespace | str:
+    """A time with sec and nanosec from a text such as "2026-01-31T12:00:00.5Z" or "1700000000.020000000"."""
+    match = _TIME.fullmatch(text.strip())
+    if match is None:
+        return text
+    whole, fraction, zone = match[1], match[2] or "", match[3] or "Z"
+    sec = int(whole) if whole.isdigit() else int(datetime.fromisoformat(whole + zone).timestamp())
+    return SimpleNamespace(sec=sec, nanosec=int(fraction.ljust(9, "0")))
+
+
+def _json_object(fields: dict[str, Any]) -> SimpleNamespace:
+    for key in ("stamp", "timestamp"):
+        if isinstance(fields.get(key), str):
+            fields[key] = _time_of(fields[key])
+    return SimpleNamespace(**fields)
+
+
 def _from_json(payload: Payload) -> Decoded:
     """A JSON object; NaN and Infinity are allowed."""
-    value = json.loads(bytes(payload), object_hook=lambda fields: SimpleNamespace(**fields))
+    value = json.loads(bytes(payload), object_hook=_json_object)
     if not isinstance(value, SimpleNamespace):
         raise TypeError(f"expected a JSON object, got {type(value).__name__}")
     return value
