@@ -80,6 +80,11 @@ class Plan:
     images: Mapping[str, PictureIndex]
     rejections: tuple[Rejection, ...]
 
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """Of the right and the left wheel and of the joints."""
+        return (self.wheels.right, self.wheels.left, *self.joints)
+
 
 def wheel_track(wheels: Mapping[Side, Track]) -> WheelTrack:
     """Both wheels of a recording, each with its own readings.

@@ -22,7 +22,7 @@ from mobilecal_cli.model import (
     Track,
     WheelTrack,
 )
-from mobilecal_cli.simulate.messages import nanoseconds
+from mobilecal_cli.simulate.record import nanoseconds
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import Route, plan_route
 from mobilecal_cli.vision import Miss, StereoPoints, board_pose, square_from_points, triangulate

@@ -22,7 +22,6 @@ from mobilecal_cli.vision.pose import (
     square_from_points,
     triangulate,
 )
-from mobilecal_cli.vision.snapshot import snapshot_jpeg, thumbnail_jpeg
 from mobilecal_cli.vision.values import (
     OTHER_BOARDS,
     OTHER_MARKERS,

@@ -30,7 +30,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers.signals.sides import sides_of
 from mobilecal_cli.readers.signals.wheels import rotations
-from mobilecal_cli.simulate.messages import driver_odometry
+from mobilecal_cli.simulate.record import driver_odometry
 from mobilecal_cli.simulate.robot import (
     SimulatedRobot,
     fixed_camera_robot,

@@ -11,8 +11,7 @@ from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.calibrate.steps import Report, calibrate, extract, solve
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.rig.config import load_rig
-from mobilecal_cli.simulate.messages import published, write
-from mobilecal_cli.simulate.record import simulate
+from mobilecal_cli.simulate.record import published, simulate, write
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.scenario import Scenario, World

@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 
+from mobilecal_cli.calibrate.detect import thumbnail_jpeg
 from mobilecal_cli.calibrate.steps import Data, Fit, Report
 from mobilecal_cli.export.params import params_yaml, with_verdict
 from mobilecal_cli.model import (
@@ -29,7 +30,6 @@ from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.values import ReportData, build_report
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers import constraints_of, solve
-from mobilecal_cli.vision import thumbnail_jpeg
 from tests.actual import draw
 from tests.extractions import STATION_NOISE, Noise, joined, simulated
 from tests.pairs import with_pair

@@ -14,8 +14,7 @@ from mobilecal_cli.errors import OutputError
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.readers import open_recording, read_description, read_images, read_signals
 from mobilecal_cli.se3 import from_quaternion_xyzw
-from mobilecal_cli.simulate.messages import START_NS
-from mobilecal_cli.simulate.record import simulate, truth_path
+from mobilecal_cli.simulate.record import START_NS, simulate, truth_path
 from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, ROBOTS, urdf_text
 from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.simulate.scenario import Scenario, World

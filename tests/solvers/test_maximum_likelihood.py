@@ -12,7 +12,7 @@ from mobilecal_cli.likelihood import between
 from mobilecal_cli.likelihood.constants import table
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import NINE, Corners, Noise, Nominal, Track, WheelTrack
-from mobilecal_cli.simulate.messages import nanoseconds
+from mobilecal_cli.simulate.record import nanoseconds
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
