@@ -35,26 +35,20 @@ class Grown:
     open_sides: int
 
 
-def _strength(image: GrayImage, corners: FloatArray, du: FloatArray, dv: FloatArray) -> FloatArray:
-    """Signed contrast of the four quadrants around corners, gray levels: (n, 2) each → (n,).
+def _alternating(grid: FloatArray, image: GrayImage) -> FloatArray:
+    """Contrast of the four quadrants around every corner of (rows, columns, 2), gray levels, with the expected sign.
 
     The smallest difference between neighboring quadrants; 0 if the signs disagree.
     """
+    dv, du = np.gradient(grid, axis=(0, 1))
     quadrant = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
-    q = [sample(image, corners + _QUADRANT * (a * du + b * dv)) for a, b in quadrant]
+    q = [sample(image, grid + _QUADRANT * (a * du + b * dv)) for a, b in quadrant]
     values = np.stack([value for value, _ in q])
     inside = np.all([good for _, good in q], axis=0)
     differences = np.stack([s * (values[i] - values[(i + 1) % 4]) for i, s in enumerate((1, -1, 1, -1))])
     agree = np.all(differences > 0, axis=0) | np.all(differences < 0, axis=0)
     weakest = np.take_along_axis(differences, np.argmin(np.abs(differences), axis=0)[None], axis=0)[0]
-    return np.where(agree & inside, weakest, 0.0)
-
-
-def _alternating(grid: FloatArray, image: GrayImage) -> FloatArray:
-    """Strength of every corner of (rows, columns, 2), with the expected sign removed."""
-    dv, du = np.gradient(grid, axis=(0, 1))
-    strength = _strength(image, grid.reshape(-1, 2), du.reshape(-1, 2), dv.reshape(-1, 2))
-    return colors(*grid.shape[:2]) * strength.reshape(grid.shape[:2])
+    return colors(*grid.shape[:2]) * np.where(agree & inside, weakest, 0.0)
 
 
 def _trim(grid: FloatArray, image: GrayImage) -> FloatArray | None:

@@ -68,7 +68,9 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
         if not gross.any():
             break
         good[np.flatnonzero(good)[gross]] = False
-    edge = _edge_px(grid[good], pixels[good])
+    # Side of a square in the image, from the best affine map.
+    affine = np.linalg.lstsq(np.hstack([grid[good], np.ones((good.sum(), 1))]), pixels[good], rcond=None)[0]
+    edge = float(np.linalg.svd(affine[:2], compute_uv=False).min())
     if edge < MIN_EDGE_PX:
         return Miss("squares too small", f"square side {edge:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
     sigma_px = max(rms(scatter_px(grid[good], pixels[good])), _FLOOR_PX if cov is None else FLOOR_PX)
@@ -78,13 +80,6 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
     every = np.tile(sigma_px**2 * np.eye(2), (board.corners, 1, 1))
     every[numbers] = cov
     return Detection(pixels, sigma_px, good, every)
-
-
-def _edge_px(grid: FloatArray, pixels: FloatArray) -> float:
-    """Side of a square in the image, from the best affine map, px."""
-    wide = np.hstack([grid, np.ones((len(grid), 1))])
-    affine = np.linalg.lstsq(wide, pixels, rcond=None)[0][:2]
-    return float(np.linalg.svd(affine, compute_uv=False).min())
 
 
 def readable_words(board: Board | None) -> str:

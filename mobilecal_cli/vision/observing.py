@@ -87,10 +87,6 @@ class StationCorners:
             cov.append(turned(d.cov, board, turn))
         return cls(np.stack(pixels), np.stack([d.seen for d in detections]), np.stack(cov))
 
-    def select(self, kept: BoolArray) -> StationCorners:
-        """A subset of the images."""
-        return StationCorners(self.pixels[kept], self.seen[kept], self.cov[kept])
-
     @property
     def drift_px(self) -> FloatArray:
         """(n,) distance of each image's corners from their median over all images, rms per coordinate, px."""
@@ -135,12 +131,6 @@ class StationCorners:
         )
 
 
-def _by_reason(misses: Sequence[Miss]) -> str:
-    counts = Counter(miss.reason for miss in misses).most_common()
-    first = {miss.reason: miss.detail for miss in reversed(misses)}
-    return "; ".join(f"{count} x {reason} ({first[reason]})" for reason, count in counts)
-
-
 def _unusable(names: Sequence[str], shots: Sequence[Sequence[Detection | Miss | None]]) -> tuple[str, str]:
     """Reason and detail for a station without images that show the board to enough cameras."""
     by_camera = zip(names, zip(*shots, strict=True), strict=True)
@@ -149,8 +139,12 @@ def _unusable(names: Sequence[str], shots: Sequence[Sequence[Detection | Miss | 
     what = shots_words(len(names))
     if not every:
         return f"no {what}", f"the station has no {what}"
-    details = [f"{name}: {_by_reason(items)}" for name, items in misses.items() if items]
-    detail = f"{len(shots)} {what}; " + "; ".join(details)
+    detail = f"{len(shots)} {what}"
+    for name, items in misses.items():
+        first = {miss.reason: miss.detail for miss in reversed(items)}
+        counts = Counter(miss.reason for miss in items).most_common()
+        said = (f"{count} x {reason} ({first[reason]})" for reason, count in counts)
+        detail += f"; {name}: {'; '.join(said)}" if items else ""
     return Counter(miss.reason for miss in every).most_common(1)[0][0], detail
 
 
@@ -276,7 +270,7 @@ def measure(
             "board or robot moved during the stop",
             f"corners drift by {drift_px.max():.2f} px over {len(detected)} {what}, limit {limit_px:.2f} px",
         )
-    images = [of_camera.select(still) for of_camera in images]
+    images = [StationCorners(of.pixels[still], of.seen[still], of.cov[still]) for of in images]
     corners = [int(of_camera.mostly.sum()) for of_camera in images]
     if max(corners) < LEAST_CORNERS:
         return rejected(

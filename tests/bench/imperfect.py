@@ -29,7 +29,7 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 from mobilecal_cli.readers.signals.sides import sides_of
-from mobilecal_cli.readers.signals.wheels import rotations
+from mobilecal_cli.readers.signals.wheels import Odometry
 from mobilecal_cli.simulate.record import driver_odometry
 from mobilecal_cli.simulate.robot import (
     SimulatedRobot,
@@ -195,7 +195,7 @@ def _of_four(track: WheelTrack, random: np.random.Generator) -> WheelTrack:
 def _of_odometry(track: WheelTrack, driver: WheelGeometry, assumed: WheelGeometry) -> WheelTrack:
     rolled = np.stack([track.right.value, track.left.value], axis=1)
     poses = driver_odometry(rolled, driver)
-    right, left, jumps = rotations(track.time_ns, poses, assumed)
+    right, left, jumps = Odometry("", track.time_ns, poses).rotations(assumed)
     assert not jumps.any()
     return WheelTrack.at_same_times(track.time_ns, right, left)
 
