@@ -23,14 +23,14 @@ from mobilecal_cli.vision.grid import at_full_size, canonical, reduced, right_ha
 from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.growing import Grown, grow_any
 from mobilecal_cli.vision.markers import detect_markers
-from mobilecal_cli.vision.values import LARGE_PX, OCCLUDED, SECOND_BOARD, Appearance, Detection, Miss, Single
+from mobilecal_cli.vision.values import LARGE_PX, Appearance, Detection, Miss, Reason, Single
 
 _SMALLEST_PICTURE = 64  # px; OpenCV refuses smaller ones
 # For uneven light; slow in full images.
 _ADAPTIVE = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _PAINTED = 1.2  # margin painted over beyond the corners, in squares
 # Reasons that no other search changes.
-_FINAL = ("squares too small", "board extends beyond the grid", "blurred")
+_FINAL = (Reason.TOO_SMALL, Reason.LARGER, Reason.BLURRED)
 _TELLING = 0.3  # share of the expected corners; a smaller grid is no evidence of the board
 # Corner counts at which growing stops: the first usually covers the whole board, the second tries everything.
 _ENOUGH = (1, 10_000)
@@ -68,7 +68,7 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
     dark_at_origin = check_colors(image, grid_map)
     blurred = check_sharpness(image, grid_map)
     # Blur affects the outer squares first: if both checks fail, report the blur.
-    if isinstance(dark_at_origin, Miss) and (blurred is None or dark_at_origin.reason != OCCLUDED):
+    if isinstance(dark_at_origin, Miss) and (blurred is None or dark_at_origin.reason != Reason.OCCLUDED):
         return dark_at_origin
     if blurred is not None:
         return blurred
@@ -97,7 +97,7 @@ def detect(
         The corners, or the reason why there are none.
     """
     if min(image.shape) < _SMALLEST_PICTURE:
-        return Miss("no board found", f"the image has only {image.shape[1]} x {image.shape[0]} px")
+        return Miss(Reason.NO_BOARD, f"the image has only {image.shape[1]} x {image.shape[0]} px")
     scales = (0.5, 1.0) if image.shape[1] >= LARGE_PX else (1.0,)
     grids = (_classic(image, columns, rows, 0, scale) for scale in scales)
     grid = next((grid for grid in grids if grid is not None), None)
@@ -105,14 +105,14 @@ def detect(
     if not isinstance(result, Detection) and thorough:
         result = _thorough(image, columns, rows, result)
     if result is None:
-        return Miss("no board found", f"no grid of {columns} x {rows} corners in the fast search")
+        return Miss(Reason.NO_BOARD, f"no grid of {columns} x {rows} corners in the fast search")
     if isinstance(result, Detection) and not alone:
         other = _second(image, result, columns, rows)
         if other is not None:
             x, y = other.mean(axis=0)
             first_x, first_y = result.pixels.mean(axis=0)
             return Miss(
-                SECOND_BOARD,
+                Reason.SECOND_BOARD,
                 f"boards of {columns} x {rows} at ({first_x:.0f}, {first_y:.0f}) and ({x:.0f}, {y:.0f}) px",
             )
     return result
@@ -146,7 +146,7 @@ def _thorough(image: GrayImage, columns: int, rows: int, first: Miss | None) -> 
     if first is not None and first.reason in _FINAL:
         return first
     grown = grow_any(image, columns * rows)
-    scale, reason = 0.25, Miss("no board found", f"no grid of {columns} x {rows} corners")
+    scale, reason = 0.25, Miss(Reason.NO_BOARD, f"no grid of {columns} x {rows} corners")
     if grown is not None and grown.grid.size >= 2 * _TELLING * columns * rows:
         grid = grown.grid
         if grid.shape[:2] == (columns, rows) != (rows, columns):
@@ -168,10 +168,10 @@ def _other_size(grown: Grown, columns: int, rows: int) -> Miss:
     if (small := check_size(grown.grid)) is not None:
         return Miss(small.reason, f"{numbers}; {small.detail}")
     if size[0] >= wanted[0] and size[1] >= wanted[1]:
-        return Miss("board extends beyond the grid", numbers)
+        return Miss(Reason.LARGER, numbers)
     if grown.open_sides == 0:
-        return Miss("board of a different size", numbers)
-    return Miss(OCCLUDED, f"{numbers}; {grown.open_sides} sides end inside the pattern")
+        return Miss(Reason.OTHER_SIZE, numbers)
+    return Miss(Reason.OCCLUDED, f"{numbers}; {grown.open_sides} sides end inside the pattern")
 
 
 def find_board(

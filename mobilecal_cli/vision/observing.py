@@ -39,10 +39,10 @@ from mobilecal_cli.vision.pose import (
 from mobilecal_cli.vision.values import (
     FLOOR_PX,
     LEAST_CORNERS,
-    OCCLUDED,
     BoardPose,
     Detection,
     Miss,
+    Reason,
     StereoPoints,
     rms,
 )
@@ -56,8 +56,6 @@ _SQUARE_TOLERANCE, _SQUARE_SIGMAS = 0.1, 5.0
 _PRINCIPAL_SHARE, _PRINCIPAL_SIGMAS = 0.003 * math.sqrt(2), 3.0
 #: Corners that are not detected are predicted up to so many image sizes away: a distortion model ends before.
 _FARTHEST = 10.0
-#: Reason of a station that one camera alone shows, of a board whose squares are not known.
-SQUARES_UNKNOWN = "size of the squares unknown"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,7 +223,7 @@ class Measured:
 
 
 def _rejection(station: Station, reason: str, detail: str) -> Rejection:
-    return Rejection("vision", reason, detail, station.time_ns, station.index)
+    return Rejection("vision", str(reason), detail, station.time_ns, station.index)
 
 
 def _showing(
@@ -274,7 +272,7 @@ def measure(
     corners = [int(of_camera.mostly.sum()) for of_camera in images]
     if max(corners) < LEAST_CORNERS:
         return rejected(
-            OCCLUDED,
+            Reason.OCCLUDED,
             f"{max(corners)} of {board.corners} corners visible in an image, minimum {LEAST_CORNERS}",
         )
     enough = [k for k, count in enumerate(corners) if count >= LEAST_CORNERS]
@@ -357,7 +355,7 @@ def resolve_square(measured: Measured, square_m: float | None, log: int = 0) -> 
     if m.points is None and square_m != m.rough_m:
         if square_m is None:
             return m.rejected(
-                SQUARES_UNKNOWN,
+                Reason.SQUARES_UNKNOWN,
                 f"only the {camera_words(m.rig.names[m.shown[0]])} sees the board, and board.square_m is not set",
             )
         from_one, views = _by_one(own, views, m.board, square_m)

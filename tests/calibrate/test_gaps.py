@@ -8,7 +8,7 @@ from mobilecal_cli.calibrate.steps import fitted, held_out
 from mobilecal_cli.errors import ObservationError, SolveError
 from mobilecal_cli.model import CLOCKS_DIFFER, NINE, Nominal, Rejection, WheelTrack
 from mobilecal_cli.report.motion import motion_gaps
-from mobilecal_cli.vision import AMBIGUOUS, SQUARES_UNKNOWN
+from mobilecal_cli.vision import Reason
 from tests.extractions import Noise, joined, simulated
 
 
@@ -141,12 +141,12 @@ def test_fixed_parameters_need_no_motion(motion, fixed, gaps):
         ("stations", "no readings around the image", "recorded as long as the images, with stamps"),
         ("stations", "images do not change while the robot moves", "the driver and the cable of the camera"),
         ("vision", "markers not as stated", "correct the board in rig.yaml (columns, rows"),
-        ("vision", SQUARES_UNKNOWN, "set board.square_m in rig.yaml, or with --set: stations"),
+        ("vision", Reason.SQUARES_UNKNOWN, "set board.square_m in rig.yaml, or with --set: stations"),
         ("vision", "board of a different size", "--board: 9 x 6 was used"),
         ("vision", "second board in view", "cover or remove the other checkerboard"),
         ("vision", "blurred", "in good light"),
         ("vision", "blurred", "where the robot hardly rests in front of it, use --stations all"),
-        ("vision", AMBIGUOUS, "such as 9 x 6, or one with markers; or stand the board upright"),
+        ("vision", Reason.AMBIGUOUS, "such as 9 x 6, or one with markers; or stand the board upright"),
     ],
 )
 def test_few_stations_are_cured_by_what_most_were_rejected_for(stage, reason, cure):
