@@ -378,7 +378,6 @@ def _notes(logs: Sequence[ExtractedLog]) -> tuple[str, ...]:
 _SAME_SHARE = 0.9  # of the readings while both were recorded
 _LEAST_OVERLAP = 0.05  # of the shorter recording
 _SAME_VALUE = 1e-9  # rad, m or px
-_SAME = "{} and {} are the same recording: they contain the same {}"
 _HINT = "give each recording once, in one container: repeated data make the standard deviations too small"
 
 
@@ -420,7 +419,7 @@ def refuse_equal_recordings(extraction: Extraction, names: Sequence[str]) -> Non
         pairs = [(at[o.time_ns], o.views) for o in by_log[j] if o.time_ns in at]
         same = sum(len(a) == len(b) and all(map(_same_corners, a, b)) for a, b in pairs)
         if same > 1:  # simulations of one seed begin with the same image
-            raise ConfigError(_SAME.format(names[i], names[j], "images"), _HINT)
+            raise _same_recording(names[i], names[j], "images")
 
 
 def refuse_same_signals(first: str, tracks: Sequence[Track], other: str, others: Sequence[Track]) -> None:
@@ -430,7 +429,11 @@ def refuse_same_signals(first: str, tracks: Sequence[Track], other: str, others:
         ConfigError: naming both recordings.
     """
     if all(_same_readings(a, b) for a, b in zip(tracks, others, strict=False)):
-        raise ConfigError(_SAME.format(first, other, "wheel and joint readings"), _HINT)
+        raise _same_recording(first, other, "wheel and joint readings")
+
+
+def _same_recording(first: str, other: str, what: str) -> ConfigError:
+    return ConfigError(f"{first} and {other} are the same recording: they contain the same {what}", _HINT)
 
 
 def _same_readings(first: Track, other: Track) -> bool:

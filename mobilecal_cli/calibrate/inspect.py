@@ -392,21 +392,19 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
     stated, others = board, 0
     if board is None or not any(isinstance(find_board(image, board), Detection) for image in readable):
         vote = identify_size(readable)
+        columns, rows = vote.size or (0, 0)
         if vote.size is not None and board is not None:
             if board.markers is not None:
                 unread = ObservationError(
                     f"none of {len(readable)} images shows the markers of the stated {board.markers.kind} board, but a "
-                    f"checkerboard of {vote.size[0]} x {vote.size[1]} inner corners",
+                    f"checkerboard of {columns} x {rows} inner corners",
                     "correct board.dictionary in rig.yaml, or leave out board.kind if the board has no markers",
                 )
                 findings.append(Finding.of("board", unread))
             elif set(vote.size) != {board.columns, board.rows}:
                 findings.append(Finding.of("board", other_size(board, vote.size)))
         board = None if vote.size is None else Board(*vote.size)
-        columns, rows = vote.size or (
-            0,
-            0,
-        )  # a grid that is no larger may be this board, cut off by the image
+        # A grid that is no larger may be this board, cut off by the image.
         others = vote.beside + sum(n for size, n in vote.votes.items() if size[0] > columns or size[1] > rows)
         if board is None and vote.votes:
             findings.append(Finding.of("board", several_sizes(vote)))

@@ -377,19 +377,21 @@ def held_out(extraction: Extraction, share: float) -> tuple[Extraction, Extracti
         kept += members[:first]
         tried += members[first:]
     rest = replace(extraction, observations=tuple(tried))
+    if rest.legs < _LEAST_LEGS:
+        raise ObservationError(
+            f"--hold-out {share:g} holds out {len(tried)} of {len(extraction.observations)} stations, with {rest.legs} "
+            f"legs between them; at least {_LEAST_LEGS} legs are needed",
+            "hold out a larger share, or record more stops",
+        )
     searched = extraction.counts.get("stations", 0)
     counts = {**extraction.counts, "stations": searched - len(tried)} if searched else extraction.counts
     used = replace(extraction, observations=tuple(kept), counts=counts)
-    for what, size, least, part in (
-        ("holds out", "larger", _LEAST_LEGS, rest),
-        ("leaves", "smaller", FEWEST_LEGS if extraction.legs >= FEWEST_LEGS else 0, used),
-    ):
-        if part.legs < least:
-            raise ObservationError(
-                f"--hold-out {share:g} {what} {len(part.observations)} of {len(extraction.observations)} stations, "
-                f"with {part.legs} legs between them; at least {least} legs are needed",
-                f"hold out a {size} share, or record more stops",
-            )
+    if used.legs < FEWEST_LEGS <= extraction.legs:
+        raise ObservationError(
+            f"--hold-out {share:g} leaves {len(kept)} of {len(extraction.observations)} stations, with {used.legs} "
+            f"legs between them; at least {FEWEST_LEGS} legs are needed",
+            "hold out a smaller share, or record more stops",
+        )
     return used, rest
 
 
