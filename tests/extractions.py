@@ -274,7 +274,7 @@ def simulated(motion="standard", noise=None, robot="paper", stations=12, seed=3,
         robot: its name, or the robot.
         more: further arguments of `extraction_of`.
     """
-    described = ROBOTS[robot]() if isinstance(robot, str) else robot
+    described = ROBOTS[robot] if isinstance(robot, str) else robot
     return extraction_of(described, plan_route(described, motion, stations, seed=seed), noise, seed, **more)
 
 

@@ -46,7 +46,7 @@ def calibrated(rgbd, tmp_path_factory):
 
 
 def test_one_camera_on_the_base_passes_with_true_sigmas(rgbd, calibrated, tmp_path):
-    robot, (report, written) = ROBOTS["rgbd"](), calibrated
+    robot, (report, written) = ROBOTS["rgbd"], calibrated
     assert report.verdict.level == "PASS"
     assert true_to(report.fit, robot, ALL_BUT_THE_HEIGHT) < 2.7
     params = yaml.safe_load((written / "params.yaml").read_text(encoding="utf-8"))

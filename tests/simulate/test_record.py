@@ -37,7 +37,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 def contents(path: Path, scenario: Scenario):
     """Everything that a calibration reads: robot description, signals and decoded images."""
-    robot = ROBOTS[scenario.robot]()
+    robot = ROBOTS[scenario.robot]
     sources = sources_of(robot, compressed=scenario.pictures != "mono8")
     with open_recording([path]) as recording:
         description = read_description(recording)
@@ -94,7 +94,7 @@ def test_every_container_holds_the_same_values(once, reference, container):
         assert [name for name, _ in pairs] == [name for name, _ in wanted]
         for (name, value), (_, same) in zip(pairs, wanted, strict=True):
             assert np.array_equal(value, same), name
-    assert description.urdfs == reference[0].urdfs == {"/robot_description": urdf_text(ROBOTS["paper"]())}
+    assert description.urdfs == reference[0].urdfs == {"/robot_description": urdf_text(ROBOTS["paper"])}
     assert signals.notes == ()
 
 
@@ -175,7 +175,7 @@ def test_a_moving_route_is_seen_ten_times_a_second_with_both_cameras_at_once(tmp
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_urdf_draws_the_head_chain_and_the_nominal_wheels(name):
-    robot = ROBOTS[name]()
+    robot = ROBOTS[name]
     urdf = parse_urdf(urdf_text(robot))
     path = urdf.path(robot.base_frame, robot.head_frame)
     assert tuple(joint.name for joint in path if joint.name in robot.joint_names) == robot.joint_names

@@ -13,14 +13,14 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import NINE, FixedLink, HeadChain, JointLink, WheelTrack
 from mobilecal_cli.report.motion import motion_gaps
-from mobilecal_cli.simulate.robot import fixed_camera_robot
+from mobilecal_cli.simulate.robot import FIXED_CAMERA_ROBOT
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.inference import Inference
 from tests.extractions import Noise, simulated
 from tests.fits import maximum_likelihood
 from tests.truth import nees, parameters_of
 
-ROBOT = fixed_camera_robot()
+ROBOT = FIXED_CAMERA_ROBOT
 NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
 
 
