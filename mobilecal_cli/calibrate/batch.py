@@ -245,6 +245,11 @@ def run_job(job: FleetJob) -> FleetRow:
     return replace(row, seconds=round(time.perf_counter() - began_s, 3))
 
 
+def owns_result(job: FleetJob) -> bool:
+    """Whether the batch wrote the result of a robot that exists, also if it was killed before it could say so."""
+    return _params_digest(job) in _record(job).params
+
+
 class _Record(BaseModel, frozen=True):
     """What a batch keeps of the result of a job. It is written before the result, and counts once that is in place.
 
@@ -371,8 +376,7 @@ def batch(
             raise already_exists(path)
     for job in jobs:
         if os.path.lexists(job.output / job.name):
-            own = _params_digest(job) in _record(job).params  # also if it was killed before it could say so
-            check_output(job.output / job.name, force or own, recognize=recognized_output)
+            check_output(job.output / job.name, force or owns_result(job), recognize=recognized_output)
     rows: dict[str, FleetRow] = {}
     new = [path for path in (output / RECORDS, output) if not path.exists()]
     try:
