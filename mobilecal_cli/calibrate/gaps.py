@@ -8,10 +8,10 @@ from contextlib import contextmanager
 
 from mobilecal_cli.errors import MobilecalError, ObservationError, SolveError, noting
 from mobilecal_cli.kinematics import FEWEST_LEGS, unseen_height
-from mobilecal_cli.model import CLOCKS_DIFFER, Extraction
+from mobilecal_cli.model import CLOCKS_DIFFER, Extraction, Reason
 from mobilecal_cli.report.motion import Gap, motion_gaps
 from mobilecal_cli.stations import FROZEN, NO_READINGS
-from mobilecal_cli.vision import Reason, readable_words
+from mobilecal_cli.vision import readable_words
 
 FEWEST_STATIONS = FEWEST_LEGS + 1  # in one recording
 

@@ -74,6 +74,7 @@ from mobilecal_cli.model.signals import (
     BoardView,
     NumberField,
     PictureIndex,
+    Reason,
     Rejection,
     RobotDescription,
     Shot,

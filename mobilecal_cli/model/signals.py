@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Annotated
 
 import numpy as np
@@ -311,6 +312,31 @@ class Station(ReadOnly):
     time_ns: int
     joints: Annotated[FloatArray, "J"]
     joints_std: Annotated[FloatArray, "J"]
+
+
+class Reason(StrEnum):
+    """Why an image, or a station, does not show the board."""
+
+    NO_BOARD = "no board found"
+    #: Also of the part of a board that is seen, where too little of it is.
+    OCCLUDED = "board partly occluded or outside the image"
+    TOO_SMALL = "squares too small"
+    BLURRED = "blurred"
+    #: A checkerboard with other numbers of corners: more, or others.
+    LARGER = "board extends beyond the grid"
+    OTHER_SIZE = "board of a different size"
+    COLORS = "square colors do not alternate"
+    IRREGULAR = "corners not on a regular grid"
+    SECOND_BOARD = "second board in view"
+    #: Markers are read, but are arranged in another way.
+    OTHER_MARKERS = "markers not as stated"
+    #: Images of one station that contradict each other.
+    INCONSISTENT = "left and right images inconsistent"
+    NO_POSE = "no pose of the board"
+    #: Of a board that looks the same when rotated.
+    AMBIGUOUS = "board orientation ambiguous"
+    #: Of a station that one camera alone shows, of a board whose squares are not known.
+    SQUARES_UNKNOWN = "size of the squares unknown"
 
 
 @dataclass(frozen=True, slots=True)

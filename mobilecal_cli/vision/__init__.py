@@ -22,4 +22,4 @@ from mobilecal_cli.vision.pose import (
     square_from_points,
     triangulate,
 )
-from mobilecal_cli.vision.values import Detection, Miss, Reason, StereoPoints
+from mobilecal_cli.vision.values import Detection, Miss, StereoPoints

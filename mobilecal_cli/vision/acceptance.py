@@ -12,11 +12,11 @@ from math import erf, sqrt
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import BoolArray, FloatArray, GrayImage, IntArray
+from mobilecal_cli.model import BoolArray, FloatArray, GrayImage, IntArray, Reason
 from mobilecal_cli.vision.corner_model import FittedCorners, fit_corners, upper_median
 from mobilecal_cli.vision.grid import smallest_edge_px
 from mobilecal_cli.vision.grid_map import GridMap, fit_grid
-from mobilecal_cli.vision.values import FLOOR_PX, Appearance, Detection, Miss, Reason
+from mobilecal_cli.vision.values import FLOOR_PX, Appearance, Detection, Miss
 
 MIN_EDGE_PX = 7.0  # detectors are unreliable below, and the refinement window becomes too small
 # A corner may be off the grid of the others by a share of a square, but not by many times the usual distance.

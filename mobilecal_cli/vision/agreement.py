@@ -12,9 +12,9 @@ from itertools import pairwise, product
 import numpy as np
 
 from mobilecal_cli.errors import ObservationError
-from mobilecal_cli.model import Board, Camera, CameraRig, Corners, FloatArray, Rejection
+from mobilecal_cli.model import Board, Camera, CameraRig, Corners, FloatArray, Reason, Rejection
 from mobilecal_cli.vision.observing import Measured, best_fit
-from mobilecal_cli.vision.values import Detection, Reason, StereoPoints
+from mobilecal_cli.vision.values import Detection, StereoPoints
 
 Pair = tuple[Detection, Detection]
 _EPIPOLAR_PX = 1.5  # rows of the two images about 4 px apart

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import Board, FloatArray, GrayImage
+from mobilecal_cli.model import Board, FloatArray, GrayImage, Reason
 from mobilecal_cli.vision.acceptance import (
     accepted,
     check_colors,
@@ -24,7 +24,7 @@ from mobilecal_cli.vision.corner_model import refine, refine_widely
 from mobilecal_cli.vision.grid import at_full_size, canonical, reduced, right_handed, smallest_edge_px
 from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.markers import detect_markers
-from mobilecal_cli.vision.values import LARGE_PX, Appearance, Detection, Miss, Reason, Single
+from mobilecal_cli.vision.values import LARGE_PX, Appearance, Detection, Miss, Single
 
 _SMALLEST_PICTURE = 64  # px; OpenCV refuses smaller ones
 # For uneven light; slow in full images.

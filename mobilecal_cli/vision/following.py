@@ -7,12 +7,12 @@ from collections import deque
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import Board, FloatArray, GrayImage
+from mobilecal_cli.model import Board, FloatArray, GrayImage, Reason
 from mobilecal_cli.vision.acceptance import MIN_EDGE_PX, accepted, check_size, colors, fit_board
 from mobilecal_cli.vision.corner_model import FittedCorners, refine
 from mobilecal_cli.vision.detection import find_board, least_response, may_show_board
 from mobilecal_cli.vision.grid import smallest_edge_px
-from mobilecal_cli.vision.values import Appearance, Detection, Miss, Reason
+from mobilecal_cli.vision.values import Appearance, Detection, Miss
 
 _LONGEST_GAP_NS = 500_000_000  # longest time over which the board's motion is extrapolated
 _AGAIN_NS = 350_000_000  # wait after a failed search, which costs as much as tracking in ten images

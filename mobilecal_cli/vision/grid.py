@@ -19,9 +19,17 @@ from itertools import product
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import Board, Corners, FloatArray, GrayImage, IntArray, Observation, Rejection
+from mobilecal_cli.model import (
+    Board,
+    Corners,
+    FloatArray,
+    GrayImage,
+    IntArray,
+    Observation,
+    Reason,
+    Rejection,
+)
 from mobilecal_cli.vision.pose import absolute_orientation, rotation_between
-from mobilecal_cli.vision.values import Reason
 
 _ROUNDS = 100  # a few more than the least are usual
 _LEAST_ROUNDS = 20  # least number of iterations, so that A and n can follow the turns

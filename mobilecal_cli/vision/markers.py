@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import Board, FloatArray, GrayImage, IntArray, Markers
+from mobilecal_cli.model import Board, FloatArray, GrayImage, IntArray, Markers, Reason
 from mobilecal_cli.vision.acceptance import MIN_EDGE_PX
 from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.grid_map import scatter_px
-from mobilecal_cli.vision.values import FLOOR_PX, LEAST_CORNERS, Appearance, Detection, Miss, Reason, rms
+from mobilecal_cli.vision.values import FLOOR_PX, LEAST_CORNERS, Appearance, Detection, Miss, rms
 
 _READ_PX = 2  # of a marker's cell: most are read from here on
 # Where a cell has fewer pixels, or no marker is read, the image is enlarged so many times: of cells with 2 px, four

@@ -21,6 +21,7 @@ from mobilecal_cli.model import (
     Corners,
     FloatArray,
     Observation,
+    Reason,
     Rejection,
     Station,
     camera_words,
@@ -42,7 +43,6 @@ from mobilecal_cli.vision.values import (
     BoardPose,
     Detection,
     Miss,
-    Reason,
     StereoPoints,
     rms,
 )

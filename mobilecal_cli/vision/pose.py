@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from mobilecal_cli import camera, se3
-from mobilecal_cli.model import BoolArray, CameraRig, Corners, FloatArray
-from mobilecal_cli.vision.values import BoardPose, Miss, Reason, StereoPoints, rms
+from mobilecal_cli.model import BoolArray, CameraRig, Corners, FloatArray, Reason
+from mobilecal_cli.vision.values import BoardPose, Miss, StereoPoints, rms
 
 _TRIANGULATION_STEPS = 12
 _MOST_APART_PX = 20.0  # beyond it the pixels are not the same point, and the linearized covariance is invalid

@@ -3,40 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mobilecal_cli.model import BoolArray, FloatArray
+from mobilecal_cli.model import BoolArray, FloatArray, Reason
 from mobilecal_cli.model.arrays import ReadOnly, set_corner_defaults
-
-
-class Reason(StrEnum):
-    """Why an image, or a station, does not show the board."""
-
-    NO_BOARD = "no board found"
-    #: Also of the part of a board that is seen, where too little of it is.
-    OCCLUDED = "board partly occluded or outside the image"
-    TOO_SMALL = "squares too small"
-    BLURRED = "blurred"
-    #: A checkerboard with other numbers of corners: more, or others.
-    LARGER = "board extends beyond the grid"
-    OTHER_SIZE = "board of a different size"
-    COLORS = "square colors do not alternate"
-    IRREGULAR = "corners not on a regular grid"
-    SECOND_BOARD = "second board in view"
-    #: Markers are read, but are arranged in another way.
-    OTHER_MARKERS = "markers not as stated"
-    #: Images of one station that contradict each other.
-    INCONSISTENT = "left and right images inconsistent"
-    NO_POSE = "no pose of the board"
-    #: Of a board that looks the same when rotated.
-    AMBIGUOUS = "board orientation ambiguous"
-    #: Of a station that one camera alone shows, of a board whose squares are not known.
-    SQUARES_UNKNOWN = "size of the squares unknown"
-
 
 #: For arrays where single precision is enough.
 Single = NDArray[np.float32]

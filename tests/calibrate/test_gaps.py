@@ -6,9 +6,8 @@ import pytest
 from mobilecal_cli.calibrate.gaps import require_observable, require_stations
 from mobilecal_cli.calibrate.steps import fitted, held_out
 from mobilecal_cli.errors import ObservationError, SolveError
-from mobilecal_cli.model import CLOCKS_DIFFER, NINE, Nominal, Rejection, WheelTrack
+from mobilecal_cli.model import CLOCKS_DIFFER, NINE, Nominal, Reason, Rejection, WheelTrack
 from mobilecal_cli.report.motion import motion_gaps
-from mobilecal_cli.vision import Reason
 from tests.extractions import Noise, joined, simulated
 
 
