@@ -117,10 +117,11 @@ def from_poses(
         T_h_c = _rigid("T_h_c", T_h_c)
     chain = HeadChain("base", "base", ()) if chain is None else chain
     require("chain", chain, HeadChain, "a HeadChain, or None for a sensor that is fixed to the base")
-    levels = {
-        _level_name(name): SIGMA.check(f"noise: {name}", value)
-        for name, value in by_name("noise", noise).items()
-    }
+    levels, known = dict(by_name("noise", noise)), Noise.limits("guess")
+    for name, value in levels.items():
+        if name not in known:
+            raise ConfigError(f"noise: {name}: no such noise level", f"noise levels: {', '.join(known)}")
+        levels[name] = SIGMA.check(f"noise: {name}", value)
     observations, tracks = [], []
     for log, drive in enumerate(all_of("drives", drives, Drive, "a list of mc.Drive")):
         where = f"drive {log + 1}"
@@ -207,12 +208,6 @@ def _array(
         of_shape = "" if shape is None else f" of shape {shape}"
         raise ConfigError(f"{where}: {reprlib.repr(values)} is no array{of_shape}", f"give {give}")
     return array
-
-
-def _level_name(name: str) -> str:
-    if name not in (known := Noise.limits("guess")):
-        raise ConfigError(f"noise: {name}: no such noise level", f"noise levels: {', '.join(known)}")
-    return name
 
 
 def _wheels(where: str, drive: Drive, times_s: Sequence[float]) -> WheelTrack:

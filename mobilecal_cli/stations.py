@@ -80,6 +80,11 @@ class Plan:
     images: Mapping[str, PictureIndex]
     rejections: tuple[Rejection, ...]
 
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """Of the right and the left wheel and of the joints."""
+        return (self.wheels.right, self.wheels.left, *self.joints)
+
 
 def wheel_track(wheels: Mapping[Side, Track]) -> WheelTrack:
     """Both wheels of a recording, each with its own readings.
@@ -128,14 +133,10 @@ def shots_of(images: Mapping[str, PictureIndex], tolerance_s: float) -> tuple[Sh
             f"the closest two are {closest_ns / _NS:.3f} s apart (limit {tolerance_s:g} s)",
             "check that both cameras use the same clock and are triggered together",
         )
-    kept = [shot for shot in shots if len(shot.taken_ns) > 1 or not _near(grouped_ns, shot.time_ns)]
+    begins, ends = (np.array([shot.time_ns for shot in shots]) + by * _ALONE_S * _NS for by in (-1, 1))
+    near = np.searchsorted(grouped_ns, begins) < np.searchsorted(grouped_ns, ends, side="right")
+    kept = [shot for shot, beside in zip(shots, near, strict=True) if len(shot.taken_ns) > 1 or not beside]
     return tuple(sorted(kept, key=lambda shot: shot.time_ns))
-
-
-def _near(times_ns: IntArray, at_ns: int) -> bool:
-    """Whether one of some increasing times is near another."""
-    first = int(np.searchsorted(times_ns, at_ns - _ALONE_S * _NS))
-    return first < len(times_ns) and bool(times_ns[first] <= at_ns + _ALONE_S * _NS)
 
 
 def _nearest(one_ns: IntArray, other_ns: IntArray, tolerance_s: float) -> dict[int, int]:

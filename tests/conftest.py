@@ -123,7 +123,7 @@ def fresh_search(monkeypatch):
 @pytest.fixture
 def few(monkeypatch):
     """Few images are looked at: enough where the board does not matter."""
-    monkeypatch.setattr("mobilecal_cli.calibrate.sample.PICTURE_MOMENTS", 2)
+    monkeypatch.setattr("mobilecal_cli.calibrate.inspect.PICTURE_MOMENTS", 2)
 
 
 @pytest.fixture(scope="session")

@@ -22,7 +22,7 @@ from mobilecal_cli.model import (
     Track,
     WheelTrack,
 )
-from mobilecal_cli.simulate.messages import nanoseconds
+from mobilecal_cli.simulate.record import nanoseconds
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import Route, plan_route
 from mobilecal_cli.vision import Miss, StereoPoints, board_pose, square_from_points, triangulate
@@ -274,7 +274,7 @@ def simulated(motion="standard", noise=None, robot="paper", stations=12, seed=3,
         robot: its name, or the robot.
         more: further arguments of `extraction_of`.
     """
-    described = ROBOTS[robot]() if isinstance(robot, str) else robot
+    described = ROBOTS[robot] if isinstance(robot, str) else robot
     return extraction_of(described, plan_route(described, motion, stations, seed=seed), noise, seed, **more)
 
 

@@ -25,15 +25,15 @@ from mobilecal_cli.model import (
     WheelSource,
 )
 from mobilecal_cli.simulate.robot import (
+    FIXED_CAMERA_ROBOT,
+    RGBD_ROBOT,
+    SKID_STEER_ROBOT,
     TICK_BITS,
+    TICK_ROBOT,
     TICKS_PER_REVOLUTION,
     SimulatedRobot,
-    fixed_camera_robot,
     pixels,
     pose,
-    rgbd_robot,
-    skid_steer_robot,
-    tick_robot,
 )
 from mobilecal_cli.simulate.route import Route
 from mobilecal_cli.vision import Miss, pose_from_one
@@ -109,7 +109,7 @@ def _with_one_camera(robot: SimulatedRobot, name: str) -> SimulatedRobot:
 @cache
 def one_on_pan_tilt() -> SimulatedRobot:
     """A single camera on a pan-tilt head."""
-    return _with_one_camera(tick_robot(), "mono")
+    return _with_one_camera(TICK_ROBOT, "mono")
 
 
 @cache
@@ -121,12 +121,12 @@ def one_that_pans() -> SimulatedRobot:
 @cache
 def pair_that_pans() -> SimulatedRobot:
     """A stereo pair on a head that only pans."""
-    return _panning(tick_robot(), "pan_pair")
+    return _panning(TICK_ROBOT, "pan_pair")
 
 
 def _three(robot: SimulatedRobot) -> SimulatedRobot:
     """Three cameras: two of them 0.2 m apart, the third turned away by 16 degrees."""
-    left, right = tick_robot().infos
+    left, right = TICK_ROBOT.infos
     beside = pose((0.2, 0.01, -0.02), Rotation.from_euler("xyz", (1.0, -2.0, 0.5), degrees=True))
     aside = pose((-0.1, 0.0, 0.03), Rotation.from_euler("xyz", (0.0, -16.0, 1.0), degrees=True))
     mounted = {"front": np.eye(4), "beside": beside, "aside": aside}
@@ -138,7 +138,7 @@ def _three(robot: SimulatedRobot) -> SimulatedRobot:
 @cache
 def three_on_pan_tilt() -> SimulatedRobot:
     """Three cameras on a pan-tilt head."""
-    return _three(tick_robot())
+    return _three(TICK_ROBOT)
 
 
 @cache
@@ -150,32 +150,32 @@ def three_that_pan() -> SimulatedRobot:
 @cache
 def three_on_the_base() -> SimulatedRobot:
     """Three cameras on the base."""
-    return _three(fixed_camera_robot())
+    return _three(FIXED_CAMERA_ROBOT)
 
 
 @cache
 def rgbd_with_odometry() -> SimulatedRobot:
     """An RGB-D camera on the base, and the odometry of the driver in place of the wheels."""
-    return replace(rgbd_robot(), name="rgbd_odometry", wheel_signal="odometry")
+    return replace(RGBD_ROBOT, name="rgbd_odometry", wheel_signal="odometry")
 
 
 @cache
 def skid_steer_that_pans() -> SimulatedRobot:
     """Four wheel joints, and a single camera on a head that only pans."""
-    return _panning(_with_one_camera(skid_steer_robot(), "one_camera"), "skid_steer_pan")
+    return _panning(_with_one_camera(SKID_STEER_ROBOT, "one_camera"), "skid_steer_pan")
 
 
 #: (number of cameras, chain) → the robot.
 CONFIGURATIONS = {
-    (1, "none"): rgbd_robot,
-    (1, "pan"): one_that_pans,
-    (1, "pan-tilt"): one_on_pan_tilt,
-    (2, "none"): fixed_camera_robot,
-    (2, "pan"): pair_that_pans,
-    (2, "pan-tilt"): tick_robot,
-    (3, "none"): three_on_the_base,
-    (3, "pan"): three_that_pan,
-    (3, "pan-tilt"): three_on_pan_tilt,
+    (1, "none"): RGBD_ROBOT,
+    (1, "pan"): one_that_pans(),
+    (1, "pan-tilt"): one_on_pan_tilt(),
+    (2, "none"): FIXED_CAMERA_ROBOT,
+    (2, "pan"): pair_that_pans(),
+    (2, "pan-tilt"): TICK_ROBOT,
+    (3, "none"): three_on_the_base(),
+    (3, "pan"): three_that_pan(),
+    (3, "pan-tilt"): three_on_pan_tilt(),
 }
 
 

@@ -10,7 +10,7 @@ from mobilecal_cli.simulate.scenario import Scenario, World
 from tests.actual import ImperfectWorld
 from tests.robots import rgbd_with_odometry, skid_steer_that_pans
 
-ROBOTS |= {"rgbd_odometry": rgbd_with_odometry, "skid_steer_pan": skid_steer_that_pans}
+ROBOTS |= {"rgbd_odometry": rgbd_with_odometry(), "skid_steer_pan": skid_steer_that_pans()}
 
 _SMALL_BOARD = Board(9, 6, 0.07)
 SAMPLES: dict[str, Scenario] = {

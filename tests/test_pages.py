@@ -34,7 +34,7 @@ def bench(sample_logs, tmp_path_factory):
     shutil.copy(sample_logs / "paper_robot.mcap", folder / "log.mcap")
     assert shell("mobilecal simulate another.mcap --seed 12 --quiet", folder).returncode == 0
     (folder / "sample_logs").symlink_to(sample_logs)
-    (folder / "robot.urdf").write_text(urdf_text(ROBOTS["paper"]()), encoding="utf-8")
+    (folder / "robot.urdf").write_text(urdf_text(ROBOTS["paper"]), encoding="utf-8")
     assert shell("mobilecal calibrate log.mcap --output result --quiet", folder).returncode == 0
     (folder / "recordings").mkdir()
     assert shell("mobilecal calibrate another.mcap --output other --quiet", folder).returncode == 0

@@ -43,7 +43,7 @@ STEPS = (
 def test_the_walk_of_a_new_user(tmp_path, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
         monkeypatch.delenv(name, raising=False)
-    (tmp_path / "robot.urdf").write_text(urdf_text(ROBOTS["paper"]()), encoding="utf-8")
+    (tmp_path / "robot.urdf").write_text(urdf_text(ROBOTS["paper"]), encoding="utf-8")
     for command, code, says in STEPS:
         done = shell(command, tmp_path)
         assert done.returncode == code, f"{command}\n{done.stdout}{done.stderr}"

@@ -10,10 +10,11 @@ from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import islice, pairwise
+from itertools import islice
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.gaps import clocks_noted
@@ -41,11 +42,11 @@ from mobilecal_cli.vision import (
     SizeVote,
     identify_size,
     measure,
-    snapshot_jpeg,
-    thumbnail_jpeg,
 )
 
 SNAPSHOTS = 60  # images kept for the report, limited to save memory
+_QUALITY = 85  # of their JPEGs
+_ACROSS_PX, _SMALL_QUALITY = 96, 60  # of a thumbnail
 #: Stations, spread over the recording, whose images tell the board's size: a few if they agree, otherwise more. Another
 #: board may be in view at some of them.
 SIZE_STATIONS = (3, 24)
@@ -55,25 +56,37 @@ SIZE_VOTES = 3  # number of agreeing images that determine the board's size
 SEGMENT_SHOTS = 250
 
 
+def snapshot_jpeg(image: GrayImage) -> bytes:
+    """JPEG data of a (height, width) gray image."""
+    return bytes(cv2.imencode(".jpg", np.ascontiguousarray(image), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1])
+
+
+def thumbnail_jpeg(image: GrayImage) -> bytes:
+    """JPEG data of a (height, width) gray image, scaled down to 96 pixels across."""
+    height = max(1, round(image.shape[0] * _ACROSS_PX / image.shape[1]))
+    small = cv2.resize(np.ascontiguousarray(image), (_ACROSS_PX, height), interpolation=cv2.INTER_AREA)
+    return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _SMALL_QUALITY])[1])
+
+
 @dataclass(slots=True)
 class StationDetections:
     """The board at one station, filled in while its images are read.
 
     Attributes:
         station: its shots.
-        measured: the board, or why it cannot be measured; of the detections of all images.
         thumbnails: camera → small JPEG of the first image; empty without one.
         found: camera and time of an image (never None) → detection or miss.
         pictures: camera → JPEG of the first image, for the report.
         rejections: images that cannot be decoded.
+        measured: the board, or why it cannot be measured; of the detections of all images.
     """
 
     station: Station
-    measured: Measured | Rejection
     thumbnails: dict[str, bytes]
     found: dict[tuple[str, int | None], Detection | Miss] = field(default_factory=dict)
     pictures: dict[str, bytes] = field(default_factory=dict)
     rejections: list[Rejection] = field(default_factory=list)
+    measured: Measured | Rejection = field(init=False)
 
     def of_shots(self, rig: CameraRig) -> list[list[Detection | Miss | None]]:
         """Results of each camera for the shots with decoded images; None for an image that is missing."""
@@ -213,17 +226,12 @@ def segments_of(plan: Plan, thorough: bool) -> list[Segment]:
     """Split the stations of a log into segments, and choose the images kept for the report."""
     stations = plan.stations
     shown = frozenset(station.index for station in stations[:: math.ceil(len(stations) / SNAPSHOTS) or 1])
-    cuts, count = [0], 0
-    for i, station in enumerate(stations):
-        if count and count + len(station.shots) > SEGMENT_SHOTS:
-            cuts.append(i)
-            count = 0
-        count += len(station.shots)
-    cuts.append(len(stations))
-    return [
-        Segment(stations[begin:end], images_of(stations[begin:end], plan.images), shown, thorough)
-        for begin, end in pairwise(cuts)
-    ]
+    parts: list[list[Station]] = [[]]
+    for station in stations:
+        if parts[-1] and sum(len(each.shots) for each in (*parts[-1], station)) > SEGMENT_SHOTS:
+            parts.append([])
+        parts[-1].append(station)
+    return [Segment(tuple(part), images_of(part, plan.images), shown, thorough) for part in parts]
 
 
 def detect_segment(
@@ -233,17 +241,8 @@ def detect_segment(
 
     `count` receives 1 after each image.
     """
-    names, absent = rig.cameras.names, "the recording does not contain the images"
-    detections = [
-        StationDetections(
-            station,
-            Rejection(
-                "readers", "without images that can be decoded", absent, station.time_ns, station.index
-            ),
-            dict.fromkeys(names, b""),
-        )
-        for station in segment.stations
-    ]
+    names = rig.cameras.names
+    detections = [StationDetections(station, dict.fromkeys(names, b"")) for station in segment.stations]
     where = {
         image: place
         for place in detections
@@ -266,10 +265,14 @@ def detect_segment(
             where[name, earlier_ns].found[name, earlier_ns] = detection
         count(1)
     for place in detections:
+        station = place.station
         if shots := place.of_shots(rig.cameras):
-            place.measured = measure(place.station, shots, rig.cameras, board)
-        elif place.rejections and isinstance(place.measured, Rejection):
-            place.measured = replace(place.measured, detail=place.rejections[0].detail)
+            place.measured = measure(station, shots, rig.cameras, board)
+            continue
+        details = [each.detail for each in place.rejections] or ["the recording does not contain the images"]
+        place.measured = Rejection(
+            "readers", "without images that can be decoded", details[0], station.time_ns, station.index
+        )
     return detections
 
 

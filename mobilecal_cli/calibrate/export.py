@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from mobilecal_cli.arguments import AnyPath, by_name, path_of, paths_of, require
-from mobilecal_cli.calibrate.detect import first_images, plan_recording
+from mobilecal_cli.calibrate.detect import first_images, plan_recording, snapshot_jpeg
 from mobilecal_cli.calibrate.load import differences, parameters_of, read_extraction, read_params
 from mobilecal_cli.calibrate.steps import Report
 from mobilecal_cli.errors import ConfigError, QualityError, RecordingError
@@ -35,7 +35,6 @@ from mobilecal_cli.readers import join_splits, open_recording, sha256_of
 from mobilecal_cli.solvers.residuals import at_constants, residuals_of
 from mobilecal_cli.solvers.transfer import base_motion
 from mobilecal_cli.targets import Target
-from mobilecal_cli.vision import snapshot_jpeg
 
 __all__ = ["Exported", "export"]
 #: Options that only some formats use, as the command spells them.

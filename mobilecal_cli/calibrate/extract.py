@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
@@ -45,7 +44,6 @@ from mobilecal_cli.model import (
     RobotDescription,
     Snapshot,
     Track,
-    WheelTrack,
 )
 from mobilecal_cli.model.text import capitalized, listed
 from mobilecal_cli.readers import (
@@ -178,69 +176,54 @@ def _extracted(
         description = replace(survey.description, infos=infos, odometry_ahead_m=signals.ahead_m)
         survey = survey_rig(config, description)
         rig = complete_rig(survey)
-    with clocks_noted(plan_notes):
-        return _detected(earlier, recording, survey, rig, plans, plan_notes, progress, jobs)
-
-
-def _detected(
-    earlier: Sequence[ExtractedLog],
-    recording: Recording,
-    survey: Survey,
-    rig: Rig,
-    plans: Sequence[Plan],
-    plan_notes: Sequence[str],
-    progress: Progress,
-    jobs: int,
-) -> list[ExtractedLog]:
-    """The logs of one recording, with the board in the images of its planned stations."""
-    name, config = str(recording.paths[0]), survey.config
+    name = str(recording.paths[0])
     board = earlier[-1].board if earlier else config.board.stated
-    if earlier:
-        _refuse_other_robot(earlier[0], name, rig)
-    for log in earlier:
-        for plan in plans:
-            if same_signals((log.plan.wheels, log.plan.joints), (plan.wheels, plan.joints)):
-                refuse_same(log.name, name, "wheel and joint readings")
-    if board is None:
-        progress("finding the board's size", 0, None)
-        size = board_size(recording, rig, plans)
-        if size is None:
-            raise ObservationError(
-                f"no checkerboard found in the images of {sum(len(plan.stations) for plan in plans)} stations",
-                f"keep the whole board in {rig.cameras.images_words}, in good light, with {readable_words(None)}, "
-                f"or set the number of its inner corners with --board, such as --board 9x6; {OF_MARKERS}",
+    with clocks_noted(plan_notes):
+        for log in earlier:
+            _refuse_other_robot(log, name, rig)
+            for plan in plans:
+                refuse_same_signals(log.name, log.plan.tracks, name, plan.tracks)
+        if board is None:
+            progress("finding the board's size", 0, None)
+            size = board_size(recording, rig, plans)
+            if size is None:
+                raise ObservationError(
+                    f"no checkerboard found in the images of {sum(len(plan.stations) for plan in plans)} stations",
+                    f"keep the whole board in {rig.cameras.images_words}, in good light, with {readable_words(None)}, "
+                    f"or set the number of its inner corners with --board, such as --board 9x6; {OF_MARKERS}",
+                )
+            board = Board(*size, config.board.square_m)
+        detected = detect_all(recording, rig, board, plans, config.stations != "all", jobs, progress)
+        stations = [station for detections in detected for station in detections]
+        for camera, topic in rig.sources.image.items():
+            lost = [r for each in stations for r in each.rejections if r.detail.startswith(f"{topic}: ")]
+            if lost and not any(name == camera for each in stations for name, _ in each.found):
+                raise undecodable(lost)
+            if lost:
+                count = len({rejection.time_ns for rejection in lost})
+                recording.note(f"{count} images cannot be decoded, such as one on {lost[0].detail}")
+        any_board = any(isinstance(d, Detection) for each in stations for d in each.found.values())
+        if not any_board and board.markers is None:
+            size = board_size(recording, rig, plans)
+            if size is not None and set(size) != {board.columns, board.rows}:
+                raise other_board(earlier[0].name, name, board, size) if earlier else other_size(board, size)
+        wrong = (f"{capitalized(e.message)}. {capitalized(e.hint)}." for e in wrong_chain(survey, rig))
+        notes = (*survey.notes, *wrong, *plan_notes, *recording.damage)
+        notes_of_cameras = _other_cameras(earlier[0], name, rig) if earlier else ()
+        logs = []
+        for plan, detections in zip(plans, detected, strict=True):
+            measured = [each.measured for each in detections]
+            check_arrangement(measured, first_pairs(detections, rig.cameras), rig.cameras, board)
+            measured, misfit = agreeing(measured)
+            if board.square_m is not None:
+                check_square(measured, board.square_m)
+            unused = not any(isinstance(each, Measured) for each in measured)
+            # Beside other recordings, nothing else says so.
+            nothing = (f"{name}: {UNUSED}, as no station shows the board",) if unused else ()
+            every_note = (*notes, *misfit, *notes_of_cameras, *nothing)
+            logs.append(
+                ExtractedLog(name, survey.description, rig, board, plan, detections, measured, every_note)
             )
-        board = Board(*size, config.board.square_m)
-    detected = detect_all(recording, rig, board, plans, config.stations != "all", jobs, progress)
-    stations = [station for detections in detected for station in detections]
-    for name_of_camera, topic in rig.sources.image.items():
-        lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
-        if lost and not any(camera == name_of_camera for station in stations for camera, _ in station.found):
-            raise undecodable(lost)
-        if lost:
-            count = len({rejection.time_ns for rejection in lost})
-            recording.note(f"{count} images cannot be decoded, such as one on {lost[0].detail}")
-    any_board = any(isinstance(d, Detection) for station in stations for d in station.found.values())
-    if not any_board and board.markers is None:
-        size = board_size(recording, rig, plans)
-        if size is not None and set(size) != {board.columns, board.rows}:
-            raise other_board(earlier[0].name, name, board, size) if earlier else other_size(board, size)
-    chain_notes = [
-        f"{capitalized(each.message)}. {capitalized(each.hint)}." for each in wrong_chain(survey, rig)
-    ]
-    notes = (*survey.notes, *chain_notes, *plan_notes, *recording.damage)
-    other = _other_cameras(earlier[0], name, rig) if earlier else ()
-    logs = []
-    for plan, detections in zip(plans, detected, strict=True):
-        measured = [station.measured for station in detections]
-        check_arrangement(measured, first_pairs(detections, rig.cameras), rig.cameras, board)
-        measured, misfit = agreeing(measured)
-        if board.square_m is not None:
-            check_square(measured, board.square_m)
-        every_note = (*notes, *misfit, *other, *_unused(name, measured))
-        logs.append(
-            ExtractedLog(name, survey.description, rig, board, plan, detections, measured, every_note)
-        )
     return logs
 
 
@@ -342,13 +325,6 @@ def _other_cameras(first: ExtractedLog, name: str, rig: Rig) -> tuple[str, ...]:
     )
 
 
-def _unused(name: str, measured: Sequence[Measured | Rejection]) -> tuple[str, ...]:
-    """A note if no station of a recording can be used: beside others, nothing else says so."""
-    if any(isinstance(each, Measured) for each in measured):
-        return ()
-    return (f"{name}: {UNUSED}, as no station shows the board",)
-
-
 def _assembled(logs: Sequence[ExtractedLog], sources: Sequence[LogSource]) -> Extraction:
     board, rig = logs[0].board, logs[0].rig
     square_m = board.square_m
@@ -434,29 +410,31 @@ def refuse_equal_recordings(extraction: Extraction, names: Sequence[str]) -> Non
         ConfigError: naming both recordings.
     """
     joints = extraction.joint_tracks or ((),) * len(extraction.wheels)
-    signals = list(zip(extraction.wheels, joints, strict=True))
-    by_log = [[o for o in extraction.observations if o.log == log] for log in range(len(signals))]
-    for i, j in itertools.combinations(range(len(signals)), 2):
-        if same_signals(signals[i], signals[j]):
-            refuse_same(names[i], names[j], "wheel and joint readings")
+    tracks = [
+        (wheels.right, wheels.left, *own) for wheels, own in zip(extraction.wheels, joints, strict=True)
+    ]
+    by_log = [[o for o in extraction.observations if o.log == log] for log in range(len(tracks))]
+    for i, j in itertools.combinations(range(len(tracks)), 2):
+        refuse_same_signals(names[i], tracks[i], names[j], tracks[j])
         at = {o.time_ns: o.views for o in by_log[i]}
         pairs = [(at[o.time_ns], o.views) for o in by_log[j] if o.time_ns in at]
         same = sum(len(a) == len(b) and all(map(_same_corners, a, b)) for a, b in pairs)
         if same > 1:  # simulations of one seed begin with the same image
-            refuse_same(names[i], names[j], "images")
+            raise _same_recording(names[i], names[j], "images")
 
 
-def refuse_same(first: str, other: str, what: str) -> NoReturn:
-    """Refuse two recordings, always."""
-    raise ConfigError(f"{first} and {other} are the same recording: they contain the same {what}", _HINT)
+def refuse_same_signals(first: str, tracks: Sequence[Track], other: str, others: Sequence[Track]) -> None:
+    """Refuse recordings of which all readings of both wheels and all joints are the same while both were recorded.
+
+    Raises:
+        ConfigError: naming both recordings.
+    """
+    if all(_same_readings(a, b) for a, b in zip(tracks, others, strict=False)):
+        raise _same_recording(first, other, "wheel and joint readings")
 
 
-def same_signals(
-    first: tuple[WheelTrack, Sequence[Track]], other: tuple[WheelTrack, Sequence[Track]]
-) -> bool:
-    """Whether all readings of both wheels and all joints are the same while both were recorded."""
-    tracks, others = ([wheels.right, wheels.left, *joints] for wheels, joints in (first, other))
-    return all(_same_readings(a, b) for a, b in zip(tracks, others, strict=False))
+def _same_recording(first: str, other: str, what: str) -> ConfigError:
+    return ConfigError(f"{first} and {other} are the same recording: they contain the same {what}", _HINT)
 
 
 def _same_readings(first: Track, other: Track) -> bool:

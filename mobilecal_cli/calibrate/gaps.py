@@ -8,17 +8,10 @@ from contextlib import contextmanager
 
 from mobilecal_cli.errors import MobilecalError, ObservationError, SolveError, noting
 from mobilecal_cli.kinematics import FEWEST_LEGS, unseen_height
-from mobilecal_cli.model import CLOCKS_DIFFER, Extraction
+from mobilecal_cli.model import CLOCKS_DIFFER, Extraction, Reason
 from mobilecal_cli.report.motion import Gap, motion_gaps, nearer
 from mobilecal_cli.stations import FROZEN, NO_READINGS
-from mobilecal_cli.vision import (
-    AMBIGUOUS,
-    OTHER_BOARDS,
-    OTHER_MARKERS,
-    SECOND_BOARD,
-    SQUARES_UNKNOWN,
-    readable_words,
-)
+from mobilecal_cli.vision import readable_words
 
 FEWEST_STATIONS = FEWEST_LEGS + 1  # in one recording
 
@@ -51,26 +44,26 @@ def require_stations(extraction: Extraction) -> None:
         if reason == FROZEN:
             more = "check the driver and the cable of the camera whose images do not change"
         cure = noting(more, extraction.first_notes)
-    ambiguous = sum(item.reason == AMBIGUOUS for item in extraction.rejections)
+    ambiguous = sum(item.reason == Reason.AMBIGUOUS for item in extraction.rejections)
     if have < FEWEST_STATIONS <= have + ambiguous:
         cure = (
             "use a board of which one number of inner corners is even and the other odd, such as 9 x 6, or one with "
             "markers; or stand the board upright"
         )
-    if reason in OTHER_BOARDS:
+    if reason in (Reason.LARGER, Reason.OTHER_SIZE):
         cure = (
             f"set the number of the board's inner corners with --board: {extraction.board.columns} x "
             f"{extraction.board.rows} was used; keep other checkerboards out of view"
         )
-    if reason == OTHER_MARKERS:
+    if reason == Reason.OTHER_MARKERS:
         said = next(item.detail for item in extraction.rejections if item.reason == reason)
         said = said.partition("(")[2].partition(")")[0] or said
         cure = f"correct the board in rig.yaml (columns, rows, dictionary, first_id, gap_share): {said}"
     if closer := nearer(extraction):
         cure = closer
-    if reason == SECOND_BOARD:
+    if reason == Reason.SECOND_BOARD:
         cure = "cover or remove the other checkerboard: only one may be in view"
-    if reason == SQUARES_UNKNOWN:
+    if reason == Reason.SQUARES_UNKNOWN:
         alone = "set board.square_m in rig.yaml, or with --set: stations that one camera alone shows need it"
         cure = noting(alone, extraction.first_notes)
     if extraction.measured:

@@ -91,7 +91,7 @@ def draft(
 def _draft(parts: Sequence[Path], urdf: Path | None, beside: Path | None, progress: Progress) -> Draft:
     """The draft from one recording, see `draft`."""
     from mobilecal_cli.calibrate.extract import describe
-    from mobilecal_cli.calibrate.sample import sample_board
+    from mobilecal_cli.calibrate.inspect import sample_board
     from mobilecal_cli.readers import open_recording
     from mobilecal_cli.rig.config import load_rig
     from mobilecal_cli.rig.draft import draft_rig

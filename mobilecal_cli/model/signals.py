@@ -1,15 +1,126 @@
-"""Signals over time, stations and rejections. Time is in integer nanoseconds."""
+"""A recording: topics, robot description, signals, stations and rejections. Time is in integer nanoseconds."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Final
+from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 
+from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, ReadOnly
 from mobilecal_cli.model.rig import CameraInfo, Side
+
+#: Message types used in a calibration, in ROS 2 spelling.
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+#: In notes on recordings with more than one calibration of a camera.
+CAMERA_INFO_CHANGES = "the camera calibration changes"
+#: In notes on joints that move the camera beside the head chain.
+CHAIN_ENDS = "the head chain ends"
+#: In notes on recorded joints that may do so, by their names.
+CHAIN_LACKS = "recorded, but not in the head chain from"
+#: In notes on one of several recordings.
+UNUSED = "nothing of this recording is used"
+IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+JOINT_STATE = "sensor_msgs/msg/JointState"
+ODOMETRY = "nav_msgs/msg/Odometry"
+STRING = "std_msgs/msg/String"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One topic.
+
+    Attributes:
+        name: name of the topic.
+        type: message type in ROS 2 spelling, "sensor_msgs/msg/JointState".
+        count: number of messages.
+    """
+
+    name: str
+    type: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class RobotDescription:
+    """Robot description from the first messages of a recording.
+
+    Attributes:
+        topics: all topics, sorted by name.
+        infos: camera-info topic → its first calibration.
+        unusable: camera-info topic → why its calibration cannot be used.
+        image_frames: image topic → frame_id of its first message.
+        joint_names: joint-state topic → names in its first messages, each once.
+        urdfs: topic → URDF text.
+        transforms: (parent frame, child frame) → (n, 4, 4) samples over the recording, m; with a URDF, of static
+            transforms only.
+        odometry_frames: odometry topic → frames of its first message, parent and child.
+        odometry_ahead_m: `Signals.ahead_m`, once these are read.
+        numbers: numbers in other messages that may be the readings of wheels or head joints; read only where joint
+            states lack them.
+    """
+
+    topics: tuple[TopicInfo, ...]
+    infos: Mapping[str, CameraInfo]
+    image_frames: Mapping[str, str]
+    joint_names: Mapping[str, tuple[str, ...]]
+    urdfs: Mapping[str, str]
+    transforms: Mapping[tuple[str, str], FloatArray] = field(default_factory=dict)
+    unusable: Mapping[str, RecordingError] = field(default_factory=dict)
+    odometry_frames: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    odometry_ahead_m: float = 0.0
+    numbers: tuple[NumberField, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class NumberField:
+    """A number in the messages of one topic, which may be a wheel's counter or a joint's angle.
+
+    Attributes:
+        topic, path: where it is; `path` as in rig.yaml ("data", "left.ticks").
+        integer: whether it is a whole number.
+        bits: width of its type, None if unknown.
+        wraps: number of bits at which it was seen to start again; None if it was not.
+        jump: size of the jumps where it starts again, if they fit no number of bits.
+    """
+
+    topic: str
+    path: str
+    integer: bool
+    bits: int | None = None
+    wraps: int | None = None
+    jump: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BoardView:
+    """The board in a few images spread over the recording.
+
+    Attributes:
+        pictures: number of images searched.
+        seen: number of images with a whole board of the most frequent size.
+        size: (columns, rows) inner corners, None if no size is the most frequent.
+        squares_m: side of a square measured in each stereo pair that shows the board, m.
+        stated_m: side of a square as configured, m; None if it is not.
+        other_sizes: number of images that show a board of another size, which is no part of this one.
+    """
+
+    pictures: int
+    seen: int
+    size: tuple[int, int] | None
+    squares_m: tuple[float, ...] = ()
+    stated_m: float | None = None
+    other_sizes: int = 0
+
+    @property
+    def square_m(self) -> float | None:
+        """Median of the measured sides, m; None where there are none."""
+        return float(np.median(self.squares_m)) if self.squares_m else None
+
 
 #: An interval between readings is a pause if it is this long and this many times the usual one. A pause of a wheel is a
 #: gap if the wheel turned by more than this during it.
@@ -115,8 +226,6 @@ class PictureIndex(ReadOnly):
 
 #: Begin of a note on cameras that recorded nothing while the robot moved.
 NO_IMAGES = "No images for"
-#: Reason of rejections: the board is too far away for the resolution of the images.
-SQUARES_SMALL: Final = "squares too small"
 #: In messages on images that cannot be decoded.
 DEPTH_IMAGE = "a depth or disparity image, not one of a camera"
 #: Part of a note on joints or wheels that are published too slowly.
@@ -203,6 +312,31 @@ class Station(ReadOnly):
     time_ns: int
     joints: Annotated[FloatArray, "J"]
     joints_std: Annotated[FloatArray, "J"]
+
+
+class Reason(StrEnum):
+    """Why an image, or a station, does not show the board."""
+
+    NO_BOARD = "no board found"
+    #: Also of the part of a board that is seen, where too little of it is.
+    OCCLUDED = "board partly occluded or outside the image"
+    TOO_SMALL = "squares too small"
+    BLURRED = "blurred"
+    #: A checkerboard with other numbers of corners: more, or others.
+    LARGER = "board extends beyond the grid"
+    OTHER_SIZE = "board of a different size"
+    COLORS = "square colors do not alternate"
+    IRREGULAR = "corners not on a regular grid"
+    SECOND_BOARD = "second board in view"
+    #: Markers are read, but are arranged in another way.
+    OTHER_MARKERS = "markers not as stated"
+    #: Images of one station that contradict each other.
+    INCONSISTENT = "left and right images inconsistent"
+    NO_POSE = "no pose of the board"
+    #: Of a board that looks the same when rotated.
+    AMBIGUOUS = "board orientation ambiguous"
+    #: Of a station that one camera alone shows, of a board whose squares are not known.
+    SQUARES_UNKNOWN = "size of the squares unknown"
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,11 +68,7 @@ def read_description(recording: Recording) -> RobotDescription:
     infos, unusable = _infos(recording, names[CAMERA_INFO])
     image_frames = _first(recording, images, lambda message: str(message.header.frame_id))
     joints = _read(
-        recording,
-        names[JOINT_STATE],
-        JOINT_MESSAGES,
-        JOINT_MESSAGES,
-        lambda message: [str(name) for name in message.name],
+        recording, names[JOINT_STATE], JOINT_MESSAGES, lambda message: list(map(str, message.name))
     )
     frames = _first(
         recording,
@@ -81,7 +77,7 @@ def read_description(recording: Recording) -> RobotDescription:
     )
     static = [topic for topic in names[TRANSFORMS] if topic.endswith("static")]
     if urdfs:  # they may lack frames that do not move
-        first = _read(recording, static, JOINT_MESSAGES, JOINT_MESSAGES, lambda message: message)
+        first = _read(recording, static, JOINT_MESSAGES, lambda message: message)
         transforms = transforms_of(chain(*first.values()))
     else:
         transforms = transforms_of(_sampled(recording, names[TRANSFORMS]))
@@ -111,17 +107,18 @@ def _sampled(recording: Recording, topics: Sequence[str]) -> Iterator[Decoded]:
 
 def _first(recording: Recording, topics: Sequence[str], read: Callable[[Decoded], T]) -> dict[str, T]:
     """Value read from the first message of each topic that has it, among the first few."""
-    several = _read(recording, topics, TRIES, 1, read)
+    several = _read(recording, topics, 1, read)
     return {topic: values[0] for topic, values in several.items() if values}
 
 
 def _read(
-    recording: Recording, topics: Sequence[str], most: int, enough: int, read: Callable[[Decoded], T]
+    recording: Recording, topics: Sequence[str], enough: int, read: Callable[[Decoded], T]
 ) -> dict[str, list[T]]:
-    """Values read from at most `enough` of each topic's first `most` messages; none if a topic cannot be read.
+    """At most `enough` values of each topic, from as many or a few first messages; none if a topic cannot be read.
 
     The reason is noted, not raised, because the calibration may not use the topic.
     """
+    most = max(enough, TRIES)
     values: dict[str, list[T]] = {topic: [] for topic in topics}
     reasons = {topic: error.message for topic, error in recording.unsupported(topics).items()}
     readable = [topic for topic in topics if topic not in reasons]

@@ -19,7 +19,7 @@ from mobilecal_cli.kinematics import (
     motion_seen,
     unseen_height,
 )
-from mobilecal_cli.model import NINE, SQUARES_SMALL, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
+from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, Reason, WheelTrack
 from mobilecal_cli.report.numbers import rejection_counts
 
 _HEAD_M = 0.5  # that the motion of a head alone moves a camera, at most
@@ -28,9 +28,9 @@ _HEAD_M = 0.5  # that the motion of a head alone moves a camera, at most
 def nearer(extraction: Extraction) -> str:
     """How to record again where most rejected stations show squares that are too small, "" elsewhere."""
     often = next(iter(rejection_counts(extraction)), None)
-    if often is None or often[1] != SQUARES_SMALL:
+    if often is None or often[1] != Reason.TOO_SMALL:
         return ""
-    said = next(item.detail for item in extraction.rejections if item.reason == SQUARES_SMALL)
+    said = next(item.detail for item in extraction.rejections if item.reason == Reason.TOO_SMALL)
     said = said.partition("(")[2].partition(")")[0] or said
     return f"record closer to the board, or with larger squares (for example: {said})"
 

@@ -148,12 +148,6 @@ _INFRARED = {"infra", "infra1", "infra2", "ir", "infrared"}
 _COLOR = {"color", "colour", "rgb"}
 
 
-def _is_depth(topic: str) -> bool:
-    """Whether the name of an image topic indicates depth, or another image in which no board is found."""
-    parts = set(words(topic))
-    return bool(parts & _DEPTH) or ("stereo" in parts and side_of(topic) is None)
-
-
 def _camera_of(topic_words: Iterable[str]) -> tuple[str, ...]:
     """Words in a topic's name that name the camera, not the form of its images."""
     return tuple(word for word in topic_words if word not in _FORMS and not word.startswith("rect"))
@@ -228,7 +222,11 @@ def _has_baseline(pair: Mapping[Side, str], config: RigConfig, description: Robo
 
 def _each_camera(topics: Iterable[str], rectified: bool | None) -> dict[tuple[str, ...], list[str]]:
     """Words that name a camera → its image topics; without depth and other images in which no board is found."""
-    topics = [name for name in topics if not _is_depth(name)]
+    parts = {name: set(words(name)) for name in topics}
+    depth = {
+        name for name in parts if parts[name] & _DEPTH or ("stereo" in parts[name] and not side_of(name))
+    }
+    topics = [name for name in parts if name not in depth]
     if rectified is not None:
         topics = [name for name in topics if is_rectified(name) == rectified] or topics
     # Not `mirrored`: the two cameras of a pair are two cameras.

@@ -109,7 +109,14 @@ def head_of(
             origin = f"URDF on {topic}"
             if len(set(description.urdfs.values())) > 1:
                 notes.append(f"The recording contains several URDFs. The one on {topic} is used.")
-        urdf = _with_transforms(parse_urdf(urdf_text), description.transforms)
+        urdf = parse_urdf(urdf_text)
+        # A camera's driver publishes its own frames.
+        fixed = {
+            f"fixed transform to {name}": joint
+            for name, joint in urdf_of_transforms(description.transforms).joints.items()
+            if joint.kind == "fixed" and name not in urdf.links
+        }
+        urdf = replace(urdf, joints={**urdf.joints, **fixed})
     base = _base_of(config, urdf, camera_frame)
     way = _moving_to(urdf, base, camera_frame)
     on_way = way is not None
@@ -333,16 +340,6 @@ def urdf_of_transforms(transforms: Mapping[tuple[str, str], FloatArray]) -> Urdf
     """
     joints = {child: _joint(parent, child, T) for (parent, child), T in sorted(transforms.items())}
     return Urdf("transforms", joints, {})
-
-
-def _with_transforms(urdf: Urdf, transforms: Mapping[tuple[str, str], FloatArray]) -> Urdf:
-    """A URDF with the fixed transforms to frames that it lacks: a camera's driver publishes its own frames."""
-    fixed = {
-        f"fixed transform to {name}": joint
-        for name, joint in urdf_of_transforms(transforms).joints.items()
-        if joint.kind == "fixed" and name not in urdf.links
-    }
-    return replace(urdf, joints={**urdf.joints, **fixed})
 
 
 def _joint(parent: str, child: str, T: FloatArray) -> UrdfJoint:

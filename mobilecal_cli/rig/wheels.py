@@ -87,7 +87,11 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
         return _odometry(config, description, config.wheels.odometry)
     stated = {side: wheel for side, wheel in config.wheels.of_sides.items() if wheel.sources}
     wheels = stated if len(stated) == len(SIDES) else _wheels_by_name(config, description) | stated
-    sources = {side: _source(side, wheels[side], description) for side in SIDES if side in wheels}
+    sources: dict[Side, WheelSource] = {}
+    for side in (side for side in SIDES if side in wheels):
+        parts = wheels[side].sources
+        first, *others = (replace(part, topic=_topic_of(side, part, description)) for part in parts)
+        sources[side] = replace(first, others=tuple(others), unread=wheels[side].unread)
     missing = [side for side in SIDES if side not in sources]
     if len(missing) == len(SIDES):
         sources = _odometry(config, description, _odometry_topic(description))
@@ -111,17 +115,6 @@ def needs_numbers(config: RigConfig, description: RobotDescription) -> bool:
     """Whether wheels may be among the numbers in other messages: no wheel is configured or named in joint states."""
     told = all(wheel.sources for wheel in config.wheels.of_sides.values())
     return config.wheels.odometry is None and not told and not _wheel_joints(description)
-
-
-def _source(side: Side, wheel: WheelConfig, description: RobotDescription) -> WheelSource:
-    """The wheels of a side, as stated or as found by names.
-
-    Raises:
-        RecordingError: a topic or a joint is missing; the hint lists those present.
-    """
-    parts = (replace(part, topic=_topic_of(side, part, description)) for part in wheel.sources)
-    first, *others = parts
-    return replace(first, others=tuple(others), unread=wheel.unread)
 
 
 def _topic_of(side: Side, part: WheelSource, description: RobotDescription) -> str:
@@ -256,7 +249,19 @@ def _odometry_topic(description: RobotDescription) -> str:
             "record the wheels or the odometry of the wheel driver; to calibrate this odometry nevertheless, add to "
             f"rig.yaml: wheels: {{odometry: {own[0]}}}",
         )
-    raise _no_wheels(description, every)
+    counted = [t.name for t in description.topics if wheel_place(t.name) and COUNTER_WORDS & {*words(t.name)}]
+    fact, key = "no joint is named as a left or right wheel", "wheels.left and wheels.right"
+    if every:
+        fact += f", and the odometry on {listed(every)} is not named as that of wheels"
+        key = f"wheels: {{odometry: {every[0]}}}"
+    elif counted:
+        fact += f"; {listed(counted)} look like tick counters, but no numbers can be read there"
+        key += " (topic, field and ticks_per_revolution)"
+    raise RecordingError(
+        fact,
+        f"{_SERVED}; record one of them, or set {key} in rig.yaml; joints present: "
+        f"{listed(joint_state_names(description))}; topics present: {listed(t.name for t in description.topics)}",
+    )
 
 
 def _odometry(config: RigConfig, description: RobotDescription, topic: str) -> dict[Side, WheelSource]:
@@ -293,22 +298,6 @@ def as_drawn(
             source = replace(source, baked_in=wheels, separation_share=WHEEL_SIGMA)
         changed[side] = source
     return changed
-
-
-def _no_wheels(description: RobotDescription, odometry: Sequence[str]) -> RecordingError:
-    named = [t.name for t in description.topics if wheel_place(t.name) and COUNTER_WORDS & {*words(t.name)}]
-    fact, key = "no joint is named as a left or right wheel", "wheels.left and wheels.right"
-    if odometry:
-        fact += f", and the odometry on {listed(odometry)} is not named as that of wheels"
-        key = f"wheels: {{odometry: {odometry[0]}}}"
-    elif named:
-        fact += f"; {listed(named)} look like tick counters, but no numbers can be read there"
-        key += " (topic, field and ticks_per_revolution)"
-    return RecordingError(
-        fact,
-        f"{_SERVED}; record one of them, or set {key} in rig.yaml; joints present: "
-        f"{listed(joint_state_names(description))}; topics present: {listed(t.name for t in description.topics)}",
-    )
 
 
 #: Joints of the wheels of each side; empty where they are unknown.

@@ -6,9 +6,9 @@ are derived from that definition independently.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 from typing import ClassVar, Final, Literal
 
 import numpy as np
@@ -236,124 +236,104 @@ class SimulatedRobot:
         return {side: (f"wheel_{side}_joint",) for side in SIDES}
 
 
-@cache
-def paper_robot() -> SimulatedRobot:
-    """Robot of the paper's Table 1 (optimized column): pitch and roll joints below a pan-tilt head."""
-    # Angles (ax, ay, az) with R = Rz(az) Ry(ay) Rx(ax). The lower-case sequence in scipy rotates about fixed axes:
-    # first x, then y, then z.
-    rotation = Rotation.from_euler("xyz", (-164.22, 89.38, -166.40), degrees=True)
-    quarter = np.pi / 2
-    return SimulatedRobot(
-        name="paper",
-        joints=(
-            RobotJoint(
-                "torso_pitch_joint", "torso_pitch_link", (0.04, 0.0, 0.35), axis=(0, 1, 0), limit_rad=0.5
-            ),
-            RobotJoint(
-                "torso_roll_joint", "torso_roll_link", (0.0, 0.0, 0.10), axis=(1, 0, 0), limit_rad=0.5
-            ),
-            RobotJoint("head_pan_joint", "head_pan_link", (0.03, 0.0, 0.42), axis=(0, 0, 1), limit_rad=1.9),
-            RobotJoint("head_tilt_joint", "head_tilt_link", (0.02, 0.0, 0.06), axis=(0, 1, 0), limit_rad=1.0),
-            # Denavit-Hartenberg frame: x forward, y down, z left.
-            RobotJoint("", "head_link", (0.05, 0.0, 0.03), (-quarter, 0.0, 0.0)),
-        ),
-        pan="head_pan_joint",
-        tilt="head_tilt_joint",
-        infos=stereo_infos(),
-        T_h_c=pose(np.array((13.60, -64.34, -70.77)) / 1000, rotation),
-        wheels=WheelGeometry(radius_right_m=0.22330, radius_left_m=0.22767, separation_m=0.50870),
-        nominal_wheels=WheelGeometry(radius_right_m=0.225, radius_left_m=0.225, separation_m=0.500),
-        encoder_step_rad=np.radians(1.2),
-    )
+# Angles (ax, ay, az) with R = Rz(az) Ry(ay) Rx(ax). The lower-case sequence in scipy rotates about fixed axes: first x,
+# then y, then z.
+_PAPER_ROTATION = Rotation.from_euler("xyz", (-164.22, 89.38, -166.40), degrees=True)
+#: Robot of the paper's Table 1 (optimized column): pitch and roll joints below a pan-tilt head.
+PAPER_ROBOT = SimulatedRobot(
+    name="paper",
+    joints=(
+        RobotJoint("torso_pitch_joint", "torso_pitch_link", (0.04, 0.0, 0.35), axis=(0, 1, 0), limit_rad=0.5),
+        RobotJoint("torso_roll_joint", "torso_roll_link", (0.0, 0.0, 0.10), axis=(1, 0, 0), limit_rad=0.5),
+        RobotJoint("head_pan_joint", "head_pan_link", (0.03, 0.0, 0.42), axis=(0, 0, 1), limit_rad=1.9),
+        RobotJoint("head_tilt_joint", "head_tilt_link", (0.02, 0.0, 0.06), axis=(0, 1, 0), limit_rad=1.0),
+        # Denavit-Hartenberg frame: x forward, y down, z left.
+        RobotJoint("", "head_link", (0.05, 0.0, 0.03), (-np.pi / 2, 0.0, 0.0)),
+    ),
+    pan="head_pan_joint",
+    tilt="head_tilt_joint",
+    infos=stereo_infos(),
+    T_h_c=pose(np.array((13.60, -64.34, -70.77)) / 1000, _PAPER_ROTATION),
+    wheels=WheelGeometry(radius_right_m=0.22330, radius_left_m=0.22767, separation_m=0.50870),
+    nominal_wheels=WheelGeometry(radius_right_m=0.225, radius_left_m=0.225, separation_m=0.500),
+    encoder_step_rad=np.radians(1.2),
+)
 
 
-@cache
-def tick_robot() -> SimulatedRobot:
-    """Small robot with a pan-tilt head and 16-bit tick counters with 4096 ticks per revolution."""
-    return SimulatedRobot(
-        name="tick",
-        joints=(
-            RobotJoint("pan_joint", "pan_link", (0.08, 0.0, 0.62), axis=(0, 0, 1), limit_rad=2.2),
-            RobotJoint("tilt_joint", "tilt_link", (0.0, 0.0, 0.05), axis=(0, 1, 0), limit_rad=1.0),
-            RobotJoint("", "head_link", (0.03, 0.0, 0.02)),
-        ),
-        pan="pan_joint",
-        tilt="tilt_joint",
-        infos=stereo_infos(focal_px=520.0, shift_px=6.0),
-        T_h_c=pose(
-            (0.045, 0.0615, 0.032), Rotation.from_euler("xyz", (1.2, -2.1, 1.7), degrees=True) * OPTICAL
-        ),
-        wheels=WheelGeometry(radius_right_m=0.0824, radius_left_m=0.0817, separation_m=0.3372),
-        nominal_wheels=WheelGeometry(radius_right_m=0.082, radius_left_m=0.082, separation_m=0.340),
-        wheel_signal="ticks",
-    )
+#: Small robot with a pan-tilt head and 16-bit tick counters with 4096 ticks per revolution.
+TICK_ROBOT = SimulatedRobot(
+    name="tick",
+    joints=(
+        RobotJoint("pan_joint", "pan_link", (0.08, 0.0, 0.62), axis=(0, 0, 1), limit_rad=2.2),
+        RobotJoint("tilt_joint", "tilt_link", (0.0, 0.0, 0.05), axis=(0, 1, 0), limit_rad=1.0),
+        RobotJoint("", "head_link", (0.03, 0.0, 0.02)),
+    ),
+    pan="pan_joint",
+    tilt="tilt_joint",
+    infos=stereo_infos(focal_px=520.0, shift_px=6.0),
+    T_h_c=pose((0.045, 0.0615, 0.032), Rotation.from_euler("xyz", (1.2, -2.1, 1.7), degrees=True) * OPTICAL),
+    wheels=WheelGeometry(radius_right_m=0.0824, radius_left_m=0.0817, separation_m=0.3372),
+    nominal_wheels=WheelGeometry(radius_right_m=0.082, radius_left_m=0.082, separation_m=0.340),
+    wheel_signal="ticks",
+)
 
 
-@cache
-def fixed_camera_robot() -> SimulatedRobot:
-    """Robot with a stereo pair fixed to its base."""
-    return SimulatedRobot(
-        name="fixed_camera",
-        joints=(),
-        infos=stereo_infos(),
-        T_h_c=pose(
-            (0.183, 0.0585, 0.524), Rotation.from_euler("xyz", (0.8, -1.6, 1.3), degrees=True) * OPTICAL
-        ),
-        wheels=WheelGeometry(radius_right_m=0.0979, radius_left_m=0.0986, separation_m=0.3931),
-        nominal_wheels=WheelGeometry(radius_right_m=0.098, radius_left_m=0.098, separation_m=0.390),
-    )
+#: Robot with a stereo pair fixed to its base.
+FIXED_CAMERA_ROBOT = SimulatedRobot(
+    name="fixed_camera",
+    joints=(),
+    infos=stereo_infos(),
+    T_h_c=pose((0.183, 0.0585, 0.524), Rotation.from_euler("xyz", (0.8, -1.6, 1.3), degrees=True) * OPTICAL),
+    wheels=WheelGeometry(radius_right_m=0.0979, radius_left_m=0.0986, separation_m=0.3931),
+    nominal_wheels=WheelGeometry(radius_right_m=0.098, radius_left_m=0.098, separation_m=0.390),
+)
 
 
-@cache
-def skid_steer_robot() -> SimulatedRobot:
-    """Skid-steered robot with four wheel joints: the effective separation is larger than the geometric one."""
-    return replace(
-        tick_robot(),
-        name="skid_steer",
-        wheels=WheelGeometry(radius_right_m=0.0986, radius_left_m=0.0979, separation_m=0.5612),
-        nominal_wheels=WheelGeometry(radius_right_m=0.098, radius_left_m=0.098, separation_m=0.376),
-        wheel_signal="four_joints",
-        slip=0.02,
-    )
+#: Skid-steered robot with four wheel joints: the effective separation is larger than the geometric one.
+SKID_STEER_ROBOT = replace(
+    TICK_ROBOT,
+    name="skid_steer",
+    wheels=WheelGeometry(radius_right_m=0.0986, radius_left_m=0.0979, separation_m=0.5612),
+    nominal_wheels=WheelGeometry(radius_right_m=0.098, radius_left_m=0.098, separation_m=0.376),
+    wheel_signal="four_joints",
+    slip=0.02,
+)
 
 
-@cache
-def odometry_only_robot() -> SimulatedRobot:
-    """Robot with a pan-tilt head whose recording has the odometry of its driver, and neither wheels nor counters."""
-    return replace(
-        tick_robot(),
-        name="odometry_only",
-        wheels=WheelGeometry(radius_right_m=0.0344, radius_left_m=0.0347, separation_m=0.2361),
-        nominal_wheels=WheelGeometry(radius_right_m=0.0352, radius_left_m=0.0352, separation_m=0.2300),
-        wheel_signal="odometry",
-    )
+#: Robot with a pan-tilt head whose recording has the odometry of its driver, and neither wheels nor counters.
+ODOMETRY_ROBOT = replace(
+    TICK_ROBOT,
+    name="odometry_only",
+    wheels=WheelGeometry(radius_right_m=0.0344, radius_left_m=0.0347, separation_m=0.2361),
+    nominal_wheels=WheelGeometry(radius_right_m=0.0352, radius_left_m=0.0352, separation_m=0.2300),
+    wheel_signal="odometry",
+)
 
 
-@cache
-def rgbd_robot() -> SimulatedRobot:
-    """Small robot with the color camera of an RGB-D camera on its base."""
-    color = replace(stereo_infos(focal_px=605.0)[0], frame_id="camera_color_optical_frame")
-    return SimulatedRobot(
-        name="rgbd",
-        joints=(),
-        infos=(replace(color, R=np.eye(3), D=np.array([0.12, -0.24, 0.0005, -0.0003, 0.1])),),
-        T_h_c=pose(
-            (0.121, 0.0163, 0.267), Rotation.from_euler("xyz", (-0.9, -3.2, 1.1), degrees=True) * OPTICAL
-        ),
-        wheels=WheelGeometry(radius_right_m=0.0352, radius_left_m=0.0349, separation_m=0.2297),
-        nominal_wheels=WheelGeometry(radius_right_m=0.035, radius_left_m=0.035, separation_m=0.230),
-        mounted={"camera": np.eye(4)},
-    )
+_COLOR = replace(stereo_infos(focal_px=605.0)[0], frame_id="camera_color_optical_frame")
+#: Small robot with the color camera of an RGB-D camera on its base.
+RGBD_ROBOT = SimulatedRobot(
+    name="rgbd",
+    joints=(),
+    infos=(replace(_COLOR, R=np.eye(3), D=np.array([0.12, -0.24, 0.0005, -0.0003, 0.1])),),
+    T_h_c=pose((0.121, 0.0163, 0.267), Rotation.from_euler("xyz", (-0.9, -3.2, 1.1), degrees=True) * OPTICAL),
+    wheels=WheelGeometry(radius_right_m=0.0352, radius_left_m=0.0349, separation_m=0.2297),
+    nominal_wheels=WheelGeometry(radius_right_m=0.035, radius_left_m=0.035, separation_m=0.230),
+    mounted={"camera": np.eye(4)},
+)
 
 
 #: Name, as in `targets.ROBOTS` → the robot.
-ROBOTS: dict[str, Callable[[], SimulatedRobot]] = {
-    "paper": paper_robot,
-    "tick": tick_robot,
-    "fixed_camera": fixed_camera_robot,
-    "rgbd": rgbd_robot,
-    "skid_steer": skid_steer_robot,
-    "odometry_only": odometry_only_robot,
+ROBOTS = {
+    robot.name: robot
+    for robot in (
+        PAPER_ROBOT,
+        TICK_ROBOT,
+        FIXED_CAMERA_ROBOT,
+        RGBD_ROBOT,
+        SKID_STEER_ROBOT,
+        ODOMETRY_ROBOT,
+    )
 }
 
 

@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Board, FloatArray, WheelGeometry
 from mobilecal_cli.simulate.robot import OPTICAL, SimulatedRobot, pixels, pose
@@ -106,12 +107,7 @@ class Drive:
 
 def base_in_world(poses: FloatArray) -> FloatArray:
     """T_w_v of base poses: (n, 3) → (n, 4, 4)."""
-    T = np.zeros((len(poses), 4, 4))
-    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1] = cos, -sin, sin, cos
-    T[:, 2, 2] = T[:, 3, 3] = 1
-    T[:, 0, 3], T[:, 1, 3] = poses[:, 0], poses[:, 1]
-    return T
+    return se3.transform(se3.rotation_z(poses[:, 2]), poses * [1, 1, 0])
 
 
 REST_S = 1.2  # at a stop: enough for what finds rests

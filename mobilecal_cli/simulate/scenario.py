@@ -62,7 +62,7 @@ class Scenario:
         Raises:
             ConfigError: no route keeps the board in view.
         """
-        robot = ROBOTS[self.robot]()
+        robot = ROBOTS[self.robot]
         route = plan_route(robot, self.motion, self.stations, self.board, self.seed)
         if self.kind == "checkerboard":
             return robot, route

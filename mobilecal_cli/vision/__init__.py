@@ -12,9 +12,9 @@ from mobilecal_cli.vision.agreement import (
 )
 from mobilecal_cli.vision.detection import SizeVote, detect, find_board, identify_size
 from mobilecal_cli.vision.following import BoardFollower
+from mobilecal_cli.vision.grid import resolve_numbering
 from mobilecal_cli.vision.markers import readable_words
-from mobilecal_cli.vision.numbering import AMBIGUOUS, resolve_numbering
-from mobilecal_cli.vision.observing import SQUARES_UNKNOWN, Measured, measure, resolve_square
+from mobilecal_cli.vision.observing import Measured, measure, resolve_square
 from mobilecal_cli.vision.pose import (
     absolute_orientation,
     board_pose,
@@ -22,12 +22,4 @@ from mobilecal_cli.vision.pose import (
     square_from_points,
     triangulate,
 )
-from mobilecal_cli.vision.snapshot import snapshot_jpeg, thumbnail_jpeg
-from mobilecal_cli.vision.values import (
-    OTHER_BOARDS,
-    OTHER_MARKERS,
-    SECOND_BOARD,
-    Detection,
-    Miss,
-    StereoPoints,
-)
+from mobilecal_cli.vision.values import Detection, Miss, StereoPoints

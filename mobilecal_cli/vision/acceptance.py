@@ -12,11 +12,11 @@ from math import erf, sqrt
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import SQUARES_SMALL, BoolArray, FloatArray, GrayImage, IntArray
+from mobilecal_cli.model import BoolArray, FloatArray, GrayImage, IntArray, Reason
 from mobilecal_cli.vision.corner_model import FittedCorners, fit_corners, upper_median
 from mobilecal_cli.vision.grid import smallest_edge_px
 from mobilecal_cli.vision.grid_map import GridMap, fit_grid
-from mobilecal_cli.vision.values import FLOOR_PX, OCCLUDED, Appearance, Detection, Miss
+from mobilecal_cli.vision.values import FLOOR_PX, Appearance, Detection, Miss
 
 MIN_EDGE_PX = 7.0  # detectors are unreliable below, and the refinement window becomes too small
 # A corner may be off the grid of the others by a share of a square, but not by many times the usual distance.
@@ -42,7 +42,7 @@ def check_size(grid: FloatArray) -> Miss | None:
     edge_px = smallest_edge_px(grid)
     if edge_px >= MIN_EDGE_PX:
         return None
-    return Miss(SQUARES_SMALL, f"smallest square {edge_px:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
+    return Miss(Reason.TOO_SMALL, f"smallest square {edge_px:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
 
 
 def _limit_px(grid_map: GridMap) -> float:
@@ -83,12 +83,10 @@ def accepted(
     """
     worst_px, most_px = float(grid_map.off_px.max()), _limit_px(grid_map)
     if worst_px > most_px:
-        return Miss(
-            "corners not on a regular grid", f"worst corner {worst_px:.2f} px, limit {most_px:.2f} px"
-        )
+        return Miss(Reason.IRREGULAR, f"worst corner {worst_px:.2f} px, limit {most_px:.2f} px")
     if not fit.fitted.all():
         return Miss(
-            "corners not on a regular grid",
+            Reason.IRREGULAR,
             f"{int(np.sum(~fit.fitted))} of {fit.fitted.size} corners do not look like corners of squares",
         )
     half_grey = float(np.copysign(upper_median(np.abs(fit.contrast_grey)), expected.contrast_grey))
@@ -144,7 +142,7 @@ def check_sharpness(image: GrayImage, grid_map: GridMap) -> Miss | None:
     if max(widths) <= _MOST_EDGE_WIDTH:
         return None
     return Miss(
-        "blurred", f"borders are {max(widths):.2f} squares wide (10 to 90 %), limit {_MOST_EDGE_WIDTH}"
+        Reason.BLURRED, f"borders are {max(widths):.2f} squares wide (10 to 90 %), limit {_MOST_EDGE_WIDTH}"
     )
 
 
@@ -183,7 +181,7 @@ def check_colors(image: GrayImage, grid_map: GridMap) -> bool | Miss:
     inside = np.asarray(in_image.all(axis=-1))
     board = inside[1:-1, 1:-1]
     outside = Miss(
-        OCCLUDED,
+        Reason.OCCLUDED,
         f"{int(np.sum(~board))} of the board's {board.size} squares are outside the image",
     )
     if not board[1:-1, 1:-1].all():
@@ -198,13 +196,13 @@ def check_colors(image: GrayImage, grid_map: GridMap) -> bool | Miss:
     least = max(_MIN_CONTRAST_GREY, _NOISE_FACTOR * noise)
     if contrast < least:
         return Miss(
-            "square colors do not alternate",
+            Reason.COLORS,
             f"contrast between neighboring squares {contrast:.1f} gray levels, minimum {least:.1f}",
         )
     wrong = int(np.sum(flip * inner < _WEAKEST * contrast))
     if wrong:
         return Miss(
-            "square colors do not alternate",
+            Reason.COLORS,
             f"{wrong} of {inner.size} pairs of neighboring inner squares do not alternate",
         )
     # From the outside: pairs beyond the board, those along its outer squares, and from these to the inner ones.
@@ -222,7 +220,7 @@ def check_colors(image: GrayImage, grid_map: GridMap) -> bool | Miss:
             if np.mean(good | np.isnan(pairs)) >= 0.75:
                 return outside
             return Miss(
-                OCCLUDED,
+                Reason.OCCLUDED,
                 f"{int(np.sum(~good))} of {good.size} pairs of outer squares on the {side} side do not alternate",
             )
     for side, (beyond, *_) in sides.items():
@@ -230,7 +228,7 @@ def check_colors(image: GrayImage, grid_map: GridMap) -> bool | Miss:
         goes_on = int(np.sum(pairs > _BEYOND * contrast))
         if len(pairs) >= 3 and goes_on >= 0.6 * len(pairs):
             return Miss(
-                "board extends beyond the grid",
+                Reason.LARGER,
                 f"{goes_on} of {len(pairs)} pairs of squares beyond the {columns} x {rows} grid on the {side} "
                 "side alternate",
             )

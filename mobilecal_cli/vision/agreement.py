@@ -12,9 +12,9 @@ from itertools import pairwise, product
 import numpy as np
 
 from mobilecal_cli.errors import ObservationError
-from mobilecal_cli.model import Board, Camera, CameraRig, Corners, FloatArray, Rejection
+from mobilecal_cli.model import Board, Camera, CameraRig, Corners, FloatArray, Reason, Rejection
 from mobilecal_cli.vision.observing import Measured, best_fit
-from mobilecal_cli.vision.values import INCONSISTENT, Detection, StereoPoints
+from mobilecal_cli.vision.values import Detection, StereoPoints
 
 Pair = tuple[Detection, Detection]
 _EPIPOLAR_PX = 1.5  # rows of the two images about 4 px apart
@@ -58,12 +58,12 @@ def agreeing(measured: Sequence[Measured | Rejection]) -> tuple[list[Measured | 
             return station
         if station.points is not None and station.points.rms_px > epipolar_px:
             return station.rejected(
-                INCONSISTENT,
+                Reason.INCONSISTENT,
                 f"distance from the epipolar lines {station.points.rms_px:.2f} px rms, limit {epipolar_px:.1f} px",
             )
         if station.pose.rms_px > flat_px:
             return station.rejected(
-                INCONSISTENT,
+                Reason.INCONSISTENT,
                 f"a flat board fits the corners with an rms of {station.pose.rms_px:.2f} px, limit {flat_px:.1f} px",
             )
         return station
@@ -182,7 +182,11 @@ def check_arrangement(
     gross = [
         isinstance(station, Rejection) or (station.points is not None and station.points.rms_px > _GROSS_PX)
         for station in measured
-        if (station.reason == INCONSISTENT if isinstance(station, Rejection) else station.points is not None)
+        if (
+            station.reason == Reason.INCONSISTENT
+            if isinstance(station, Rejection)
+            else station.points is not None
+        )
     ]
     if sum(gross) < _FEWEST or 2 * sum(gross) < len(gross):
         return

@@ -7,12 +7,12 @@ from collections import deque
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import Board, FloatArray, GrayImage
+from mobilecal_cli.model import Board, FloatArray, GrayImage, Reason
 from mobilecal_cli.vision.acceptance import MIN_EDGE_PX, accepted, check_size, colors, fit_board
 from mobilecal_cli.vision.corner_model import FittedCorners, refine
 from mobilecal_cli.vision.detection import find_board, least_response, may_show_board
 from mobilecal_cli.vision.grid import smallest_edge_px
-from mobilecal_cli.vision.values import OCCLUDED, Appearance, Detection, Miss
+from mobilecal_cli.vision.values import Appearance, Detection, Miss
 
 _LONGEST_GAP_NS = 500_000_000  # longest time over which the board's motion is extrapolated
 _AGAIN_NS = 350_000_000  # wait after a failed search, which costs as much as tracking in ten images
@@ -40,17 +40,17 @@ def follow(image: GrayImage, expected: FloatArray, appearance: Appearance, board
     height, width = image.shape
     low, high = expected.min(axis=0), expected.max(axis=0)
     if low.min() < _MARGIN_PX or high[0] > width - 1 - _MARGIN_PX or high[1] > height - 1 - _MARGIN_PX:
-        return Miss(OCCLUDED, "the predicted corners are at the image border")
+        return Miss(Reason.OCCLUDED, "the predicted corners are at the image border")
     grid = expected.reshape(board.rows, board.columns, 2)
     if (small := check_size(grid)) is not None:
         return small
     grid = refine(image, grid, smallest_edge_px(grid), appearance.outer_whole, tracked=True)
     if smallest_edge_px(grid) < MIN_EDGE_PX / 2:
-        return Miss("corners not on a regular grid", "refined corners coincide")
+        return Miss(Reason.IRREGULAR, "refined corners coincide")
     fit, grid_map = fit_board(image, grid, appearance)
     if not _is_board(fit, appearance.contrast_grey, board):
         return Miss(
-            "square colors do not alternate",
+            Reason.COLORS,
             "corners at the predicted position are occluded or have the wrong square colors",
         )
     return accepted(fit, grid_map, appearance)
@@ -88,7 +88,7 @@ class BoardFollower:
 
     def __init__(self, board: Board, thorough: bool) -> None:
         self._board, self._thorough = board, thorough
-        self._nothing = Miss("no board found", f"fewer than {board.corners} possible corners in the image")
+        self._nothing = Miss(Reason.NO_BOARD, f"fewer than {board.corners} possible corners in the image")
         self._last_two: deque[tuple[int, Detection]] = deque(maxlen=2)
         self._last_image: GrayImage = np.zeros((0, 0), dtype=np.uint8)
         self._least_response = 0.0  # of a saddle point that may be a corner of the board
@@ -176,7 +176,7 @@ class BoardFollower:
         if since_ns is not None and not self._thorough and 0 <= since_ns < _AGAIN_NS:
             self._waited.append((time_ns, image))
             return lost or Miss(
-                "no board found", f"the last search, {since_ns / 1e9:.2f} s earlier, found none"
+                Reason.NO_BOARD, f"the last search, {since_ns / 1e9:.2f} s earlier, found none"
             )
         alone = not self._thorough and self._least_response > 0
         detection = find_board(image, self._board, self._thorough, alone)

@@ -5,20 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import SQUARES_SMALL, Board, FloatArray, GrayImage, IntArray, Markers
+from mobilecal_cli.model import Board, FloatArray, GrayImage, IntArray, Markers, Reason
 from mobilecal_cli.vision.acceptance import MIN_EDGE_PX
 from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.grid_map import scatter_px
-from mobilecal_cli.vision.values import (
-    FLOOR_PX,
-    LEAST_CORNERS,
-    OCCLUDED,
-    OTHER_MARKERS,
-    Appearance,
-    Detection,
-    Miss,
-    rms,
-)
+from mobilecal_cli.vision.values import FLOOR_PX, LEAST_CORNERS, Appearance, Detection, Miss, rms
 
 _READ_PX = 2  # of a marker's cell: most are read from here on
 # Where a cell has fewer pixels, or no marker is read, the image is enlarged so many times: of cells with 2 px, four
@@ -59,7 +50,7 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
     for _ in range(3):
         if good.sum() < LEAST_CORNERS or np.linalg.matrix_rank(grid[good] - grid[good].mean(axis=0)) < 2:
             return Miss(
-                OCCLUDED,
+                Reason.OCCLUDED,
                 f"{good.sum()} of {board.corners} corners visible, minimum {LEAST_CORNERS} that are not on one line",
             )
         off = np.linalg.norm(scatter_px(grid[good], pixels[good]), axis=1)
@@ -68,9 +59,11 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
         if not gross.any():
             break
         good[np.flatnonzero(good)[gross]] = False
-    edge = _edge_px(grid[good], pixels[good])
+    # Side of a square in the image, from the best affine map.
+    affine = np.linalg.lstsq(np.hstack([grid[good], np.ones((good.sum(), 1))]), pixels[good], rcond=None)[0]
+    edge = float(np.linalg.svd(affine[:2], compute_uv=False).min())
     if edge < MIN_EDGE_PX:
-        return Miss(SQUARES_SMALL, f"square side {edge:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
+        return Miss(Reason.TOO_SMALL, f"square side {edge:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
     sigma_px = max(rms(scatter_px(grid[good], pixels[good])), _FLOOR_PX if cov is None else FLOOR_PX)
     pixels = np.where(good[:, None], pixels, 0.0)
     if cov is None:
@@ -78,13 +71,6 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
     every = np.tile(sigma_px**2 * np.eye(2), (board.corners, 1, 1))
     every[numbers] = cov
     return Detection(pixels, sigma_px, good, every)
-
-
-def _edge_px(grid: FloatArray, pixels: FloatArray) -> float:
-    """Side of a square in the image, from the best affine map, px."""
-    wide = np.hstack([grid, np.ones((len(grid), 1))])
-    affine = np.linalg.lstsq(wide, pixels, rcond=None)[0][:2]
-    return float(np.linalg.svd(affine, compute_uv=False).min())
 
 
 def readable_words(board: Board | None) -> str:
@@ -148,7 +134,7 @@ def _charuco(
     count = squares[0] * squares[1] // 2
     read, outlines = _read(image, markers, count)
     if not len(read):
-        return Miss("no board found", f"no markers of {markers.dictionary}")
+        return Miss(Reason.NO_BOARD, f"no markers of {markers.dictionary}")
     places = [outline[None].astype(np.float32) for outline in outlines]
     for legacy in (False, True):  # the pattern of earlier versions of OpenCV begins with a white square
         drawn = cv2.aruco.CharucoBoard(squares, 1.0, markers.share, _dictionary(markers, count))
@@ -161,10 +147,11 @@ def _charuco(
             break
     else:
         if len(read) < _ENOUGH:
-            return Miss("no board found", f"no markers of {markers.dictionary} with corners")
+            return Miss(Reason.NO_BOARD, f"no markers of {markers.dictionary} with corners")
         where = f"a board of {board.columns} x {board.rows} inner corners has them"
         return Miss(
-            OTHER_MARKERS, f"{len(read)} markers of {markers.dictionary} are read, but not where {where}"
+            Reason.OTHER_MARKERS,
+            f"{len(read)} markers of {markers.dictionary} are read, but not where {where}",
         )
     return _fitted(
         image,
@@ -203,7 +190,7 @@ def _fitted(
     fitted = fit.fitted[numbers]
     if np.mean(fitted) < _MOST:
         return Miss(
-            SQUARES_SMALL, f"{fitted.sum()} of {len(numbers)} corners are far enough from their markers"
+            Reason.TOO_SMALL, f"{fitted.sum()} of {len(numbers)} corners are far enough from their markers"
         )
     return numbers[fitted], fit.pixels[numbers[fitted]], fit.cov[numbers[fitted]]
 
@@ -215,7 +202,7 @@ def _tags(image: GrayImage, board: Board, markers: Markers) -> tuple[IntArray, F
     mine = np.array([np.sum(tags == tag) == 1 for tag in tags], dtype=np.bool_)
     if mine.sum() < _LEAST_TAGS:
         return Miss(
-            "no board found", f"{mine.sum()} tags of {markers.dictionary} visible, minimum {_LEAST_TAGS}"
+            Reason.NO_BOARD, f"{mine.sum()} tags of {markers.dictionary} visible, minimum {_LEAST_TAGS}"
         )
     quads = outlines[mine]
     grid = board.grid()[:, :2].reshape(-1, 4, 2)[tags[mine]]
@@ -225,7 +212,7 @@ def _tags(image: GrayImage, board: Board, markers: Markers) -> tuple[IntArray, F
     corners = (4 * tags[mine][:, None] + np.arange(4)).ravel()
     places = _refined(image, best, markers)
     if len(quads) >= _ENOUGH and (other := _arranged_otherwise(grid, places, markers)):
-        return Miss(OTHER_MARKERS, other)
+        return Miss(Reason.OTHER_MARKERS, other)
     return corners, places.reshape(-1, 2), None
 
 

@@ -21,6 +21,7 @@ from mobilecal_cli.model import (
     Corners,
     FloatArray,
     Observation,
+    Reason,
     Rejection,
     Station,
     camera_words,
@@ -39,7 +40,6 @@ from mobilecal_cli.vision.pose import (
 from mobilecal_cli.vision.values import (
     FLOOR_PX,
     LEAST_CORNERS,
-    OCCLUDED,
     BoardPose,
     Detection,
     Miss,
@@ -56,8 +56,6 @@ _SQUARE_TOLERANCE, _SQUARE_SIGMAS = 0.1, 5.0
 _PRINCIPAL_SHARE, _PRINCIPAL_SIGMAS = 0.003 * math.sqrt(2), 3.0
 #: Corners that are not detected are predicted up to so many image sizes away: a distortion model ends before.
 _FARTHEST = 10.0
-#: Reason of a station that one camera alone shows, of a board whose squares are not known.
-SQUARES_UNKNOWN = "size of the squares unknown"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,10 +84,6 @@ class StationCorners:
             pixels.append(nearest)
             cov.append(turned(d.cov, board, turn))
         return cls(np.stack(pixels), np.stack([d.seen for d in detections]), np.stack(cov))
-
-    def select(self, kept: BoolArray) -> StationCorners:
-        """A subset of the images."""
-        return StationCorners(self.pixels[kept], self.seen[kept], self.cov[kept])
 
     @property
     def drift_px(self) -> FloatArray:
@@ -135,12 +129,6 @@ class StationCorners:
         )
 
 
-def _by_reason(misses: Sequence[Miss]) -> str:
-    counts = Counter(miss.reason for miss in misses).most_common()
-    first = {miss.reason: miss.detail for miss in reversed(misses)}
-    return "; ".join(f"{count} x {reason} ({first[reason]})" for reason, count in counts)
-
-
 def _unusable(names: Sequence[str], shots: Sequence[Sequence[Detection | Miss | None]]) -> tuple[str, str]:
     """Reason and detail for a station without images that show the board to enough cameras."""
     by_camera = zip(names, zip(*shots, strict=True), strict=True)
@@ -149,8 +137,12 @@ def _unusable(names: Sequence[str], shots: Sequence[Sequence[Detection | Miss | 
     what = shots_words(len(names))
     if not every:
         return f"no {what}", f"the station has no {what}"
-    details = [f"{name}: {_by_reason(items)}" for name, items in misses.items() if items]
-    detail = f"{len(shots)} {what}; " + "; ".join(details)
+    detail = f"{len(shots)} {what}"
+    for name, items in misses.items():
+        first = {miss.reason: miss.detail for miss in reversed(items)}
+        counts = Counter(miss.reason for miss in items).most_common()
+        said = (f"{count} x {reason} ({first[reason]})" for reason, count in counts)
+        detail += f"; {name}: {'; '.join(said)}" if items else ""
     return Counter(miss.reason for miss in every).most_common(1)[0][0], detail
 
 
@@ -231,7 +223,7 @@ class Measured:
 
 
 def _rejection(station: Station, reason: str, detail: str) -> Rejection:
-    return Rejection("vision", reason, detail, station.time_ns, station.index)
+    return Rejection("vision", str(reason), detail, station.time_ns, station.index)
 
 
 def _showing(
@@ -276,11 +268,11 @@ def measure(
             "board or robot moved during the stop",
             f"corners drift by {drift_px.max():.2f} px over {len(detected)} {what}, limit {limit_px:.2f} px",
         )
-    images = [of_camera.select(still) for of_camera in images]
+    images = [StationCorners(of.pixels[still], of.seen[still], of.cov[still]) for of in images]
     corners = [int(of_camera.mostly.sum()) for of_camera in images]
     if max(corners) < LEAST_CORNERS:
         return rejected(
-            OCCLUDED,
+            Reason.OCCLUDED,
             f"{max(corners)} of {board.corners} corners visible in an image, minimum {LEAST_CORNERS}",
         )
     enough = [k for k, count in enumerate(corners) if count >= LEAST_CORNERS]
@@ -363,7 +355,7 @@ def resolve_square(measured: Measured, square_m: float | None, log: int = 0) -> 
     if m.points is None and square_m != m.rough_m:
         if square_m is None:
             return m.rejected(
-                SQUARES_UNKNOWN,
+                Reason.SQUARES_UNKNOWN,
                 f"only the {camera_words(m.rig.names[m.shown[0]])} sees the board, and board.square_m is not set",
             )
         from_one, views = _by_one(own, views, m.board, square_m)

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from mobilecal_cli import camera, se3
-from mobilecal_cli.model import BoolArray, CameraRig, Corners, FloatArray
-from mobilecal_cli.vision.values import INCONSISTENT, BoardPose, Miss, StereoPoints, rms
+from mobilecal_cli.model import BoolArray, CameraRig, Corners, FloatArray, Reason
+from mobilecal_cli.vision.values import BoardPose, Miss, StereoPoints, rms
 
 _TRIANGULATION_STEPS = 12
 _MOST_APART_PX = 20.0  # beyond it the pixels are not the same point, and the linearized covariance is invalid
@@ -84,7 +84,7 @@ def triangulate(rig: CameraRig, views: Sequence[Corners]) -> StereoPoints | Miss
     if not all(each.all() for each in good):
         count = sum(int(np.sum(~each)) for each in good)
         return Miss(
-            INCONSISTENT,
+            Reason.INCONSISTENT,
             f"{count} corners are outside the valid range of the cameras' distortion models",
         )
     points = _nearest_to_rays(rig, flat)
@@ -93,7 +93,7 @@ def triangulate(rig: CameraRig, views: Sequence[Corners]) -> StereoPoints | Miss
     step: FloatArray = np.full_like(points, np.inf)
     for left in reversed(range(_TRIANGULATION_STEPS + 1)):
         if np.any(depths(rig, points) <= 0):
-            return Miss(INCONSISTENT, "triangulated corners are behind a camera")
+            return Miss(Reason.INCONSISTENT, "triangulated corners are behind a camera")
         predicted, J = reproject(rig, points)
         A, r = root @ J, root @ (measured - predicted)[..., None]
         At = np.swapaxes(A, 1, 2)
@@ -105,7 +105,7 @@ def triangulate(rig: CameraRig, views: Sequence[Corners]) -> StereoPoints | Miss
     residual_px = rms(measured - predicted)
     if residual_px > _MOST_APART_PX:
         return Miss(
-            INCONSISTENT,
+            Reason.INCONSISTENT,
             f"distance from the epipolar lines {residual_px:.1f} px rms, limit {_MOST_APART_PX:.0f} px",
         )
     return StereoPoints(points, np.linalg.inv(normal).astype(np.float64), residual_px)
@@ -247,7 +247,7 @@ def pose_from_one(rig: CameraRig, points_k: FloatArray, view: Corners) -> BoardP
     flat, good = camera.undistorted(lens, view.pixels[view.seen])
     if not good.all():
         detail = f"{int(np.sum(~good))} corners are outside the valid range of the camera's distortion model"
-        return Miss("no pose of the board", detail)
+        return Miss(Reason.NO_POSE, detail)
     _, turns, places, _ = cv2.solvePnPGeneric(in_view, flat, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     poses = []
     for turn, place in zip(np.reshape(turns, (-1, 3)), np.reshape(places, (-1, 3)), strict=True):
@@ -257,5 +257,5 @@ def pose_from_one(rig: CameraRig, points_k: FloatArray, view: Corners) -> BoardP
         if np.all(depths(rig, se3.act(start, in_view)) > 0):
             poses.append(board_pose(rig, points_k, [view], start))
     if not poses:
-        return Miss("no pose of the board", "the corners are behind the camera")
+        return Miss(Reason.NO_POSE, "the corners are behind the camera")
     return min(poses, key=lambda pose: pose.rms_px)

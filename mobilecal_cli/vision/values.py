@@ -3,38 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Final, Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mobilecal_cli.model import BoolArray, FloatArray
+from mobilecal_cli.model import BoolArray, FloatArray, Reason
 from mobilecal_cli.model.arrays import ReadOnly, set_corner_defaults
 
-Reason = Literal[
-    "no board found",
-    "board partly occluded or outside the image",
-    "squares too small",
-    "blurred",
-    "board extends beyond the grid",
-    "square colors do not alternate",
-    "corners not on a regular grid",
-    "second board in view",
-    "board of a different size",
-    "markers not as stated",
-    "left and right images inconsistent",
-    "no pose of the board",
-]
-#: Also of the part of a board that is seen, where too little of it is.
-OCCLUDED: Final = "board partly occluded or outside the image"
-#: Of stations whose images contradict each other.
-INCONSISTENT: Final = "left and right images inconsistent"
-#: Of images that show a checkerboard with other numbers of corners.
-OTHER_BOARDS: Final = ("board extends beyond the grid", "board of a different size")
-#: Of images whose markers are read, but are arranged in another way.
-OTHER_MARKERS: Final = "markers not as stated"
-#: Of images that show two boards of the same size.
-SECOND_BOARD: Final = "second board in view"
 #: For arrays where single precision is enough.
 Single = NDArray[np.float32]
 LARGE_PX = 1280  # image width from which detectors run at reduced size first, which is three times as fast
@@ -91,8 +67,7 @@ class Miss:
     """Why an image, or a stereo pair, gives no corners.
 
     Attributes:
-        reason: one of a few fixed phrases.
-        detail: the values of this case.
+        reason, detail: of what kind it is, and the values of this case.
     """
 
     reason: Reason

@@ -12,7 +12,7 @@ import numpy as np
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.constants import NINE_SIGMAS, WHEEL_SIGMA
 from mobilecal_cli.model import NINE, Nominal, Parameters, WheelGeometry
-from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT, SimulatedRobot
 from mobilecal_cli.solvers import constraints_of, solve
 from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, route_of
 from tests.bench.study import NINE_RATIOS, Study, head, line, results_of
@@ -44,7 +44,7 @@ def derived_errors(found: Parameters, robot: SimulatedRobot) -> np.ndarray:
 
 def one_run(motion: str, fix: str, seed: int) -> tuple[np.ndarray, tuple[str, ...]]:
     """Error over stated sigma of the nine and of the derived figures, and the parameters marked as unobservable."""
-    robot, route = paper_robot(), route_of(_STATIONS, seed // RUNS_PER_ROUTE, motion)  # type: ignore[arg-type]
+    robot, route = PAPER_ROBOT, route_of(_STATIONS, seed // RUNS_PER_ROUTE, motion)  # type: ignore[arg-type]
     extraction = extraction_of(robot, route, DISTURBED, seed)
     rig = replace(extraction.rig, noise=GIVEN)
     nominal = drawn_nominal(robot, np.random.default_rng(seed))

@@ -50,7 +50,7 @@ def one_run(name: str, seed: int) -> tuple[Run, Run, FloatArray]:
     """Noise levels given, and estimated; and the bound, (9,) standard deviations."""
     case = drawn(name)
     extraction, noise = case.extraction(seed), case.noise_of(seed)
-    robot = true_robot(ROBOTS[case.robot](), extraction, case.route(seed))
+    robot = true_robot(ROBOTS[case.robot], extraction, case.route(seed))
     bound = bound_of(case.robot, case.motion, case.stations, seed // RUNS_PER_ROUTE, noise)
     known = run_of(replace(extraction, rig=replace(extraction.rig, noise=given(noise))), robot)
     return known, run_of(extraction, robot), np.sqrt(np.diag(bound))
@@ -59,7 +59,7 @@ def one_run(name: str, seed: int) -> tuple[Run, Run, FloatArray]:
 def price_of(name: str, seed: int) -> tuple[FloatArray, FloatArray]:
     """Errors on a robot that is exactly as described: with uncertain constants, and taking everything for exact."""
     extraction = CASES[name].extraction(seed)
-    robot = true_robot(ROBOTS[CASES[name].robot](), extraction, CASES[name].route(seed))
+    robot = true_robot(ROBOTS[CASES[name].robot], extraction, CASES[name].route(seed))
     fits = (maximum_likelihood(each) for each in (extraction, as_described(extraction)))
     uncertain, exact = (errors(fit.lin.state.parameters, robot) for fit in fits)
     return uncertain, exact

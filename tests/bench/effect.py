@@ -9,7 +9,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.model import Corners, Extraction
 from mobilecal_cli.simulate.render import BoardRenderer
-from mobilecal_cli.simulate.robot import paper_robot, pixels
+from mobilecal_cli.simulate.robot import PAPER_ROBOT, pixels
 from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
 from mobilecal_cli.vision.values import Appearance
@@ -32,7 +32,7 @@ _SHAPE = (6, 9, 2)
 @cache
 def _pictures(number: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Noise-free image and true corners of each station of a route, for both cameras."""
-    robot, route = paper_robot(), route_of(STATIONS, number)
+    robot, route = PAPER_ROBOT, route_of(STATIONS, number)
     rig, times_s = robot.rig_cameras, station_times_s(route)
     made = []
     T_w_v = base_in_world(route.drive.poses(times_s))
@@ -74,7 +74,7 @@ def _with_corners(extraction: Extraction, number: int, seed: int, how: str) -> t
 
 def one_run(quiet: bool, seed: int) -> dict[str, tuple[np.ndarray, float, float]]:
     """Error of the nine parameters, NEES / 9 and corner error, by corner method."""
-    robot, number = paper_robot(), seed // RUNS_PER_ROUTE
+    robot, number = PAPER_ROBOT, seed // RUNS_PER_ROUTE
     # A hundredth of the usual noise of wheels and joints shows the effect of the corners alone.
     share = 0.01 if quiet else 1.0
     noise = Noise(0.0, share * WHEEL, 0.0, share * JOINT_RAD)

@@ -15,7 +15,7 @@ from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_n
 from mobilecal_cli.likelihood.dataset import Dataset, Inliers, dataset_of
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.solvers.initial import initial_state, linear_estimate
 from mobilecal_cli.solvers.optimize import optimize
 from tests.bench.simulated import DISTURBED, TRUE_NOISE, route_of
@@ -84,7 +84,7 @@ def row(stations: int, runs: int) -> list[str]:
     """One line of the table: the solvers take turns, and a ratio is of runs that follow one another."""
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "extraction.npz"
-        extraction = extraction_of(paper_robot(), route_of(stations, 0), DISTURBED, 0)
+        extraction = extraction_of(PAPER_ROBOT, route_of(stations, 0), DISTURBED, 0)
         path.write_bytes(extraction_to_npz(extraction))
         turns = [{solver: Found(**measured(one, solver, path)) for solver in SOLVERS} for _ in range(runs)]
     seconds = [f"{median(turn[solver].seconds for turn in turns):.3g}" for solver in SOLVERS]

@@ -58,7 +58,7 @@ MISTAKES: Mapping[str, tuple[Callable[[Extraction], Extraction], str]] = {
 def robot_of(random: np.random.Generator) -> tuple[str, SimulatedRobot]:
     """A robot with its kind."""
     kind = str(random.choice([*_KINDS, "one that pans", "rolled", "mast"]))
-    robot = {"one that pans": one_that_pans}.get(kind, ROBOTS.get(kind, ROBOTS["pan-tilt"]))()
+    robot = {"one that pans": one_that_pans()}.get(kind, ROBOTS.get(kind, ROBOTS["pan-tilt"]))
     radius_m = float(np.exp(random.uniform(np.log(0.03), np.log(0.3))))
     separation_m = float(np.clip(radius_m * random.uniform(2.2, 7.0), 0.15, 1.2))
     right, left, apart = 1 + np.array([0.01, 0.01, 0.02]) * random.normal(size=3)
@@ -102,9 +102,7 @@ def recorded(seed: int, motion: Motion | None = None) -> tuple[str, Extraction, 
 def _key_of(robot: SimulatedRobot) -> str:
     """A key of `ROBOTS` whose constants have the same names."""
     names = robot.joint_names, tuple(robot.rig_cameras.names)
-    return next(
-        key for key, of in ROBOTS.items() if (of().joint_names, tuple(of().rig_cameras.names)) == names
-    )
+    return next(key for key, of in ROBOTS.items() if (of.joint_names, tuple(of.rig_cameras.names)) == names)
 
 
 def _route_of(robot: SimulatedRobot, motion: Motion, stations: int, board: Board, seed: int) -> Route:

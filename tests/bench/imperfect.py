@@ -29,16 +29,16 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 from mobilecal_cli.readers.signals.sides import sides_of
-from mobilecal_cli.readers.signals.wheels import rotations
-from mobilecal_cli.simulate.messages import driver_odometry
+from mobilecal_cli.readers.signals.wheels import Odometry
+from mobilecal_cli.simulate.record import driver_odometry
 from mobilecal_cli.simulate.robot import (
+    FIXED_CAMERA_ROBOT,
+    ODOMETRY_ROBOT,
+    PAPER_ROBOT,
+    RGBD_ROBOT,
+    SKID_STEER_ROBOT,
+    TICK_ROBOT,
     SimulatedRobot,
-    fixed_camera_robot,
-    odometry_only_robot,
-    paper_robot,
-    rgbd_robot,
-    skid_steer_robot,
-    tick_robot,
 )
 from mobilecal_cli.simulate.route import TURN_RADPS, Motion, Route, plan_route, slipping_radps
 from mobilecal_cli.solvers import Constraints, solve
@@ -54,14 +54,14 @@ from tests.robots import CONFIGURATIONS, one_on_pan_tilt, three_on_pan_tilt
 from tests.truth import errors, parameters_of
 
 ROBOTS = {
-    "paper": paper_robot,
-    "pan-tilt": tick_robot,
-    "skid-steer": skid_steer_robot,
-    "odometry": odometry_only_robot,
-    "pair on the base": fixed_camera_robot,
-    "camera on the base": rgbd_robot,
-    "camera on pan-tilt": one_on_pan_tilt,
-    "three cameras": three_on_pan_tilt,
+    "paper": PAPER_ROBOT,
+    "pan-tilt": TICK_ROBOT,
+    "skid-steer": SKID_STEER_ROBOT,
+    "odometry": ODOMETRY_ROBOT,
+    "pair on the base": FIXED_CAMERA_ROBOT,
+    "camera on the base": RGBD_ROBOT,
+    "camera on pan-tilt": one_on_pan_tilt(),
+    "three cameras": three_on_pan_tilt(),
 }
 
 
@@ -129,7 +129,7 @@ class Case:
         """The constants of one run."""
         drawn: dict[str, float] = {}
         for kind, scale in self.kinds.items():
-            drawn |= draw(ROBOTS[self.robot](), np.random.default_rng([seed, 7]), scale, {kind})
+            drawn |= draw(ROBOTS[self.robot], np.random.default_rng([seed, 7]), scale, {kind})
         return drawn | dict(self.fixed)
 
     def noise_of(self, seed: int) -> extractions.Noise:
@@ -145,7 +145,7 @@ class Case:
 
     def extraction(self, seed: int) -> Extraction:
         """One run."""
-        robot = ROBOTS[self.robot]()
+        robot = ROBOTS[self.robot]
         drawn = self.outside.print_m or self.outside.lens_px
         outside = replace(self.outside, print_seed=seed, lens_seed=seed) if drawn else self.outside
         also = {"constants": self.constants(seed), "outside": outside, "images": self.images}
@@ -195,7 +195,7 @@ def _of_four(track: WheelTrack, random: np.random.Generator) -> WheelTrack:
 def _of_odometry(track: WheelTrack, driver: WheelGeometry, assumed: WheelGeometry) -> WheelTrack:
     rolled = np.stack([track.right.value, track.left.value], axis=1)
     poses = driver_odometry(rolled, driver)
-    right, left, jumps = rotations(track.time_ns, poses, assumed)
+    right, left, jumps = Odometry("", track.time_ns, poses).rotations(assumed)
     assert not jumps.any()
     return WheelTrack.at_same_times(track.time_ns, right, left)
 
@@ -237,7 +237,7 @@ def all_kinds(moving: bool, scale: float = 1.0) -> dict[str, float]:
 @cache
 def route_of(robot: str, motion: Motion, stations: int, number: int) -> Route:
     """One of the routes that all runs share."""
-    return plan_route(ROBOTS[robot](), motion, stations=stations, seed=number)
+    return plan_route(ROBOTS[robot], motion, stations=stations, seed=number)
 
 
 def given(noise: extractions.Noise) -> dict[str, float]:
@@ -251,7 +251,7 @@ def bound_of(
     robot: str, motion: Motion, stations: int, number: int, noise: extractions.Noise = USUAL
 ) -> FloatArray:
     """(9, 9) Bayesian Cramer-Rao bound: inverse of the information with all priors, from readings without noise."""
-    true, route = ROBOTS[robot](), route_of(robot, motion, stations, number)
+    true, route = ROBOTS[robot], route_of(robot, motion, stations, number)
     extraction = extractions.extraction_of(true, route)
     inference = Inference.of(extraction, Constraints())
     data = inference.data
@@ -315,7 +315,7 @@ def run_of_case(case: Case, seed: int) -> Run:
         extraction = case.extraction(seed)
     except MobilecalError as error:
         return refused(error)
-    return run_of(extraction, true_robot(ROBOTS[case.robot](), extraction, case.route(seed)))
+    return run_of(extraction, true_robot(ROBOTS[case.robot], extraction, case.route(seed)))
 
 
 def refused(error: MobilecalError) -> Run:
@@ -399,5 +399,5 @@ def summary(error: FloatArray, case: Case) -> list[str]:
     """Root-mean-square errors (n, 9) of rotation (deg), translation (mm) and wheels (%), as three cells."""
     size = rms(error)
     rotation, translation = np.degrees(np.linalg.norm(size[:3])), 1e3 * np.linalg.norm(size[3:6])
-    wheels = 100 * float(np.max(size[6:] / ROBOTS[case.robot]().wheels.vector))
+    wheels = 100 * float(np.max(size[6:] / ROBOTS[case.robot].wheels.vector))
     return [f"{rotation:.3f}", f"{translation:.2f}", f"{wheels:.3f}"]

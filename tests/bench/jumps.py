@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from mobilecal_cli import se3
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import Extraction, FloatArray, Solution, Track, WheelTrack
-from mobilecal_cli.simulate.robot import SimulatedRobot, tick_robot
+from mobilecal_cli.simulate.robot import TICK_ROBOT, SimulatedRobot
 from mobilecal_cli.simulate.route import Route
 from mobilecal_cli.solvers import solve
 from tests.bench.imperfect import CORRELATED, FIVE_SIGMA, LEVELS, Case, judged, level_counts, refused
@@ -134,7 +134,7 @@ def changed(
     case: Case, part: str, factor: float, seed: int, known: Solution
 ) -> tuple[Extraction, World, int, dict[str, float]]:
     """A recording with a change, the world after it, the first station after it, and all constants after it."""
-    robot, route, constants = tick_robot(), case.route(seed), case.constants(seed)
+    robot, route, constants = TICK_ROBOT, case.route(seed), case.constants(seed)
     unit = np.random.default_rng([seed, 8]).normal(size=6)
     after = CHANGES[part](World(robot, route), known, factor * unit / np.linalg.norm(unit))
     now = {**constants, **{n: constants.get(n, 0.0) + more for n, more in after.constants.items()}}
@@ -182,7 +182,7 @@ def one_run(name: str, seed: int) -> tuple[Run, dict[tuple[str, float], Run]]:
     case = RECORDINGS[name]
     extraction = case.extraction(seed)
     known = solve(extraction)
-    same = judged(known, extraction, tick_robot())
+    same = judged(known, extraction, TICK_ROBOT)
     still = Run(same, same.beyond, (known.jumps[0].part, 0) if known.jumps else None)
     each = itertools.product(CHANGES, FACTORS)
     return still, {change: one_change(case, *change, seed, known) for change in each}

@@ -7,7 +7,7 @@ import numpy as np
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import Inliers
 from mobilecal_cli.model import Method
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.solvers import solve
 from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, bound_of, route_of
 from tests.bench.study import (
@@ -33,7 +33,7 @@ _NOTHING = (np.full(9, np.nan), np.nan, False)
 
 def one_run(stations: int, seed: int) -> dict[str, tuple[np.ndarray, float, bool]]:
     """Error, NEES / 9 (NaN without covariance), and whether there were outliers, by method."""
-    robot, number = paper_robot(), seed // RUNS_PER_ROUTE
+    robot, number = PAPER_ROBOT, seed // RUNS_PER_ROUTE
     extraction = extraction_of(robot, route_of(stations, number), DISTURBED, seed)
     result = {}
     for name, known in _LEVELS.items():

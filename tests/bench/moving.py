@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.solvers import solve
 from tests.actual import PRIORS
 from tests.bench.simulated import DISTURBED, as_described, route_of
@@ -19,7 +19,7 @@ _CLOCKS = ("time_joints", "time_wheels")
 
 def one_run(seed: int) -> tuple[np.ndarray, np.ndarray, float, np.ndarray, np.ndarray, int]:
     """Error, sigma, NEES / 9 of the nine; error and sigma of the two offsets; how much was left out."""
-    robot = paper_robot()
+    robot = PAPER_ROBOT
     extraction = extraction_of(robot, route_of(12, seed, "moving"), DISTURBED, seed, camera_late_s=_LATE_S)
     described = as_described(extraction)
     sigmas = {"all": 0.0, **dict.fromkeys(_CLOCKS, PRIORS["clock"])}

@@ -51,7 +51,7 @@ def inside(
     Returns:
         (L, 6) whether each error is in its 95 % region, in the order of `QUANTITIES`.
     """
-    true, dt = ROBOTS[case.robot](), 1 / RATE_HZ
+    true, dt = ROBOTS[case.robot], 1 / RATE_HZ
     times_s = np.unique(np.concatenate([np.arange(ends_s[0], ends_s[-1], dt), ends_s, drive.breaks_s]))
     times_s = times_s[(times_s >= ends_s[0]) & (times_s <= ends_s[-1])]
     leg = np.searchsorted(ends_s, times_s[:-1], side="right") - 1

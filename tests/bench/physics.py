@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.model import Corners, Extraction, Observation, Track, WheelTrack
-from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.simulate.route import plan_route, wheel_speeds
 from mobilecal_cli.vision import board_pose, square_from_points, triangulate
 from tests.bench.imperfect import LEVELS, level_counts, run_of
@@ -59,7 +59,7 @@ WORLDS = {
 
 
 def _model(world: World) -> str:
-    robot = tick_robot()
+    robot = TICK_ROBOT
     sides = (("right", -1, robot.wheels.radius_right_m), ("left", 1, robot.wheels.radius_left_m))
     contact = f'friction="{world.friction} 0.005 0.0001" condim="4"'
     height = 6 * world.bumps_m
@@ -94,7 +94,7 @@ def _model(world: World) -> str:
 
 def recorded(world: World, motion: str, stations: int, seed: int) -> Extraction:
     """A drive along a planned route; images at rest, or three for each station of a route in motion."""
-    robot, random = tick_robot(), np.random.default_rng([seed, 4])
+    robot, random = TICK_ROBOT, np.random.default_rng([seed, 4])
     route = plan_route(robot, motion, stations=stations, seed=seed)
     model = mujoco.MjModel.from_xml_string(_model(world))
     if world.bumps_m:
@@ -153,7 +153,7 @@ def recorded(world: World, motion: str, stations: int, seed: int) -> Extraction:
 
 def _observed(route, T_c_k, random):
     """Views, points, board pose, square and misfit of one station; None if a camera does not show the whole board."""
-    rig, corners_k = tick_robot().rig_cameras, corners_of(route)
+    rig, corners_k = TICK_ROBOT.rig_cameras, corners_of(route)
     seen = []
     for camera, at in zip(rig.each, in_cameras(rig, T_c_k, corners_k), strict=True):
         if at.min() < 0 or np.any(at > [camera.width, camera.height]):
@@ -171,7 +171,7 @@ def main(asked: Study) -> None:
         "", "runs", "mean NEES / 6 of the camera", "mean error of the separation (%)", "in its sigmas", *LEVELS,
         "beyond five sigmas", title=f"MuJoCo {mujoco.__version__}",
     )  # fmt: skip
-    robot = tick_robot()
+    robot = TICK_ROBOT
     for name in asked.chosen(WORLDS):
         for motion, stations in (("standard", 20), ("moving", 27)):
             worlds = (recorded(WORLDS[name], motion, stations, seed) for seed in range(asked.runs))

@@ -30,7 +30,7 @@ from mobilecal_cli.model import (
     Station,
     WheelTrack,
 )
-from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers import Constraints
 from mobilecal_cli.solvers.findings import contradictions_of
 from mobilecal_cli.solvers.fit import Fit
@@ -122,7 +122,7 @@ class Case:
 
     def of(self, true: CameraRig) -> CameraRig:
         """The wrong stereo pair."""
-        rig = camera_change(true, table(true, chain_of(tick_robot())), self.constants).apply(true)
+        rig = camera_change(true, table(true, chain_of(TICK_ROBOT)), self.constants).apply(true)
         sides: dict[Side, Camera] = {"left": rig.each[0], "right": rig.each[1]}
         for side, k1 in self.k1.items():
             sides[side] = replace(sides[side], D=sides[side].D + k1 * np.eye(len(sides[side].D))[0])
@@ -197,7 +197,7 @@ def _observation(rig: CameraRig, number: int, pair: Pair) -> Observation:
     square_m = square_from_points(points.points_c, _BOARD.grid())
     start = absolute_orientation(points.points_c, square_m * _BOARD.grid())
     pose = board_pose(rig, _POINTS_K, views, start)
-    still = np.zeros(len(tick_robot().joint_names))
+    still = np.zeros(len(TICK_ROBOT.joint_names))
     return Observation(
         log=number,
         station=0,
@@ -217,7 +217,7 @@ def _observation(rig: CameraRig, number: int, pair: Pair) -> Observation:
 
 def refusal(rig: CameraRig, pair: Pair) -> str | None:
     """Why the product refuses a station with this pair; None if it does not."""
-    still = np.zeros(len(tick_robot().joint_names))
+    still = np.zeros(len(TICK_ROBOT.joint_names))
     station = Station(0, True, (), _SECOND_NS, still, still)
     found = measure(station, *([d] for d in pair), rig, _BOARD)
     settled = found if isinstance(found, Rejection) else resolve_square(found, _SQUARE_M)
@@ -228,7 +228,7 @@ def extraction_of(rig: CameraRig, pairs: Sequence[Pair]) -> Extraction:
     """A recording of one station for each pair, of a robot whose head and base are exact and do not move."""
     seen = tuple(_observation(rig, number, pair) for number, pair in enumerate(pairs))
     robot = replace(
-        rig_of(tick_robot()),
+        rig_of(TICK_ROBOT),
         cameras=rig,
         prior_sigmas=dict.fromkeys(_CHAIN, 0.0),
         noise=dict.fromkeys(_LEVELS, EXACT),
@@ -356,7 +356,7 @@ def _named(result: Result, right: Sequence[str]) -> list[str]:
 def _found_rows(name: str, case: Case, true: CameraRig, both: tuple[Result, Result]) -> Iterator[list[str]]:
     """Rows of the constants that were made wrong; both: with nothing wrong, and of the case."""
     nothing, result = both
-    rows = {row.name: row for row in table(true, chain_of(tick_robot()))}
+    rows = {row.name: row for row in table(true, chain_of(TICK_ROBOT))}
     for constant, expected in case.expected(true).items():
         of_kind = rows[constant].of_kind
         value, std = (of_kind.shown * v for v in result.found[constant])

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from tests import extractions
 from tests.bench.simulated import DISTURBED, RUNS_PER_ROUTE, as_described, information_of, route_of, spoiled
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
@@ -21,7 +21,7 @@ _FALSE = float(chi2.isf(1e-6, 9)) / 9
 
 def one_run(stations: int, seed: int) -> tuple[np.ndarray, np.ndarray, float, str, float]:
     """Error, sigma of the good data's bound, NEES / 9, what was found, seconds."""
-    robot, route = paper_robot(), route_of(stations, seed // RUNS_PER_ROUTE)
+    robot, route = PAPER_ROBOT, route_of(stations, seed // RUNS_PER_ROUTE)
     sound = extractions.extraction_of(robot, route, DISTURBED, seed)
     extraction, bad, slip = spoiled(sound, np.random.default_rng(seed))
     good = Inliers.all_of(dataset_of(sound))

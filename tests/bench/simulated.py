@@ -15,7 +15,7 @@ from mobilecal_cli.model import (
     FloatArray,
     Noise,
 )
-from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT, SimulatedRobot
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
 from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
@@ -34,7 +34,7 @@ RUNS_PER_ROUTE = 10
 @cache
 def route_of(stations: int, number: int, motion: Motion = "standard") -> Route:
     """One of the routes that all runs share, `RUNS_PER_ROUTE` runs each."""
-    return plan_route(paper_robot(), motion, stations=stations, seed=number)
+    return plan_route(PAPER_ROBOT, motion, stations=stations, seed=number)
 
 
 def as_described(extraction: Extraction) -> Extraction:
@@ -56,7 +56,7 @@ def information_of(robot: SimulatedRobot, route: Route, inliers: Inliers | None 
 @cache
 def bound_of(stations: int, number: int) -> FloatArray:
     """(9, 9) Cramer-Rao bound of a standard route."""
-    return np.linalg.inv(information_of(paper_robot(), route_of(stations, number)))[:9, :9]
+    return np.linalg.inv(information_of(PAPER_ROBOT, route_of(stations, number)))[:9, :9]
 
 
 def spoiled(

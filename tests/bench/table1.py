@@ -7,7 +7,7 @@ import numpy as np
 from mobilecal_cli.calibrate.extract import extract
 from mobilecal_cli.model import Parameters
 from mobilecal_cli.rig.config import load_rig
-from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT, SimulatedRobot
 from mobilecal_cli.solvers import solve
 from tests.bench.study import NINE_COLUMNS, Study, head, line, numbers
 from tests.truth import errors
@@ -30,7 +30,7 @@ def wheel_rounds(history: tuple[Parameters, ...]) -> int:
 
 def main(_: Study) -> None:
     """Print the table: the sample recording, solved by the method of the paper."""
-    robot = paper_robot()
+    robot = PAPER_ROBOT
     extraction, _ = extract([_SAMPLE], load_rig(None))
     solutions = {method: solve(extraction, method) for method in ("linear", "paper", "lm")}
     linear = solutions["linear"].linear

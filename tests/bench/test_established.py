@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.solvers.initial import initial_state
 from tests.bench.established import likelihood_at
 from tests.bench.established_terms import Terms
@@ -18,7 +18,7 @@ from tests.truth import parameters_of
 @pytest.fixture(scope="module")
 def case():
     """Terms at a start, and all unknowns a little away from it."""
-    robot = paper_robot()
+    robot = PAPER_ROBOT
     extraction = extraction_of(robot, route_of(5, 0), DISTURBED, 0)
     data = dataset_of(extraction)
     start = initial_state(data, parameters_of(robot), Inliers.all_of(data))

@@ -11,8 +11,7 @@ from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.calibrate.steps import Report, calibrate, extract, solve
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.rig.config import load_rig
-from mobilecal_cli.simulate.messages import published, write
-from mobilecal_cli.simulate.record import simulate
+from mobilecal_cli.simulate.record import published, simulate, write
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.scenario import Scenario, World
@@ -47,7 +46,7 @@ def calibrated(rgbd, tmp_path_factory):
 
 
 def test_one_camera_on_the_base_passes_with_true_sigmas(rgbd, calibrated, tmp_path):
-    robot, (report, written) = ROBOTS["rgbd"](), calibrated
+    robot, (report, written) = ROBOTS["rgbd"], calibrated
     assert report.verdict.level == "PASS"
     assert true_to(report.fit, robot, ALL_BUT_THE_HEIGHT) < 2.7
     params = yaml.safe_load((written / "params.yaml").read_text(encoding="utf-8"))

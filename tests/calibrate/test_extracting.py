@@ -23,7 +23,7 @@ from tests.commands.edited import STORE, edited
 from tests.pairs import with_pair
 from tests.records import records_of, written
 
-CAMERAS = ROBOTS["paper"]().rig_cameras
+CAMERAS = ROBOTS["paper"].rig_cameras
 
 
 def noted(other):

@@ -6,9 +6,8 @@ import pytest
 from mobilecal_cli.calibrate.gaps import require_observable, require_stations
 from mobilecal_cli.calibrate.steps import fitted, held_out
 from mobilecal_cli.errors import ObservationError, SolveError
-from mobilecal_cli.model import CLOCKS_DIFFER, NINE, SQUARES_SMALL, Nominal, Rejection, WheelTrack
+from mobilecal_cli.model import CLOCKS_DIFFER, NINE, Nominal, Reason, Rejection, WheelTrack
 from mobilecal_cli.report.motion import motion_gaps
-from mobilecal_cli.vision import AMBIGUOUS, SQUARES_UNKNOWN
 from tests.extractions import Noise, joined, simulated
 from tests.judging import judge
 
@@ -31,8 +30,8 @@ def test_small_squares_ask_for_a_place_closer_to_the_board():
     """ "Keep it at rest, in good light", and where some stations are left, "record again with more stops"."""
     whole = extraction("standard", Noise(0.2, 0.003, 0.0209, 0.001))
     said = "smallest square 6.1 px, minimum 7 px"
-    detail = f"2 stereo pairs; left: 2 x {SQUARES_SMALL} ({said}); right: 2 x {SQUARES_SMALL} (another)"
-    rejections = tuple(Rejection("vision", SQUARES_SMALL, detail, 10**9 * k, k) for k in range(9))
+    detail = f"2 stereo pairs; left: 2 x {Reason.TOO_SMALL} ({said}); right: 2 x {Reason.TOO_SMALL} (another)"
+    rejections = tuple(Rejection("vision", Reason.TOO_SMALL, detail, 10**9 * k, k) for k in range(9))
     few = replace(whole, observations=whole.observations[:3], rejections=rejections)
     with pytest.raises(ObservationError) as raised:
         require_stations(few)
@@ -160,12 +159,12 @@ def test_fixed_parameters_need_no_motion(motion, fixed, gaps):
         ("stations", "no readings around the image", "recorded as long as the images, with stamps"),
         ("stations", "images do not change while the robot moves", "the driver and the cable of the camera"),
         ("vision", "markers not as stated", "correct the board in rig.yaml (columns, rows"),
-        ("vision", SQUARES_UNKNOWN, "set board.square_m in rig.yaml, or with --set: stations"),
+        ("vision", Reason.SQUARES_UNKNOWN, "set board.square_m in rig.yaml, or with --set: stations"),
         ("vision", "board of a different size", "--board: 9 x 6 was used"),
         ("vision", "second board in view", "cover or remove the other checkerboard"),
         ("vision", "blurred", "in good light"),
         ("vision", "blurred", "where the robot hardly rests in front of it, use --stations all"),
-        ("vision", AMBIGUOUS, "such as 9 x 6, or one with markers; or stand the board upright"),
+        ("vision", Reason.AMBIGUOUS, "such as 9 x 6, or one with markers; or stand the board upright"),
     ],
 )
 def test_few_stations_are_cured_by_what_most_were_rejected_for(stage, reason, cure):

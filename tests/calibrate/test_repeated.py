@@ -10,12 +10,12 @@ from mobilecal_cli.calibrate.extract import extract, refuse_equal_files, refuse_
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Extraction, LogSource, Track, WheelTrack
 from mobilecal_cli.rig.config import load_rig
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.simulate.route import plan_route
 from tests.commands.edited import edited
 from tests.extractions import Noise, extraction_of, joined
 
-ROBOT = paper_robot()
+ROBOT = PAPER_ROBOT
 
 
 def recorded(route_seed=0, noise_seed=0, noise=Noise(0.2, 0.003, np.radians(1.2), np.radians(0.05))):  # noqa: B008

@@ -103,7 +103,7 @@ def test_a_failure_stops_no_other_robot(local):
     assert [row["robot"] for row in rows] == ["broken", *(f"robot_{n}" for n in range(ROBOTS_HERE))]
     assert [row["verdict"] for row in rows] == ["ERROR"] + ["PASS"] * ROBOTS_HERE
     assert rows[0]["exit_code"] == "3"
-    truth = ROBOTS["paper"]().wheels.separation_m * 1e3
+    truth = ROBOTS["paper"].wheels.separation_m * 1e3
     for row in rows[1:]:
         assert abs(float(row["separation_mm"]) - truth) < 5 * float(row["std_separation_mm"])
         params = validated((out / row["robot"] / "report.json").read_text(encoding="utf-8"))["parameters"]

@@ -80,7 +80,7 @@ def test_a_urdf_file_is_written_relative_to_the_rig(sample_logs, tmp_path, few):
     log = edited(sample_logs / "head_fixed.mcap", tmp_path / "log.mcap", without_urdf)
     assert {one.key for one in draft([log]).todo if one.needed} == {"head"}
     urdf, rig = tmp_path / "robot.urdf", tmp_path / "rigs" / "rig.yaml"
-    urdf.write_text(urdf_text(ROBOTS["paper"]()), encoding="utf-8")
+    urdf.write_text(urdf_text(ROBOTS["paper"]), encoding="utf-8")
     rig.parent.mkdir()
     made = draft([log], urdf, rig.parent)
     rig.write_text(made.text, encoding="utf-8")

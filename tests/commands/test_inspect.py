@@ -73,7 +73,7 @@ def test_a_camera_without_camera_info_is_the_only_thing_that_is_missing(tmp_path
     """Which link carries it follows from its frame: that is no error of its own."""
 
     def described(store):
-        return store.types["std_msgs/msg/String"](urdf_text(ROBOTS["rgbd"]()))
+        return store.types["std_msgs/msg/String"](urdf_text(ROBOTS["rgbd"]))
 
     items = [
         r.Item("/robot_description", r.START_NS, described),

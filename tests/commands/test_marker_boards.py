@@ -7,7 +7,7 @@ from ruamel.yaml import YAML
 from mobilecal_cli.calibrate import inspect, steps
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.simulate.record import simulate
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.simulate.scenario import PRINTED, Scenario
 from tests.truth import nees
 
@@ -29,7 +29,7 @@ def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
     seen = [corners.seen for o in found.fit.extraction.observations for corners in (o.views[0], o.views[1])]
     assert len(seen) >= 2 * 9
     assert np.mean([mask.all() for mask in seen]) < 0.2
-    assert nees(found.fit.parameters, found.fit.covariance, paper_robot()) < 2.5
+    assert nees(found.fit.parameters, found.fit.covariance, PAPER_ROBOT) < 2.5
     assert found.verdict.level == "PASS"
     params = YAML(typ="safe").load((tmp_path / "out" / "params.yaml").read_text())
     assert params["provenance"]["config"]["board"]["kind"] == kind

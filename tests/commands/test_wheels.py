@@ -160,7 +160,7 @@ def test_the_axle_is_where_the_odometry_turns(made, tmp_path, monkeypatch):
     )
     (tmp_path / "robot.urdf").write_text(urdf)
     config = load_rig(None, SQUARE | {"head.urdf": str(tmp_path / "robot.urdf")})
-    monkeypatch.setattr("mobilecal_cli.readers.signals.wheels.check_forward", lambda *_: -0.05)
+    monkeypatch.setattr("mobilecal_cli.readers.signals.wheels.Odometry.check_forward", lambda *_: -0.05)
     extraction, _ = extract([made["rgbd_odometry"][0]], config)
     assert extraction.rig.chain.links[0].T_parent_child[:3, 3] == pytest.approx([-0.05, 0, 0])
     assert any("is 50 mm behind the axle" in note for note in extraction.notes)

@@ -30,7 +30,7 @@ from tests.command import run, succeeded
 from tests.extractions import Noise, simulated
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
-ROBOT = ROBOTS["paper"]()
+ROBOT = ROBOTS["paper"]
 LINES = {
     "static_transform_yaml", "ros2_control", "camchain", "camera_info", "camera_info_left", "camera_info_right", "odometry_covariance",
 }  # fmt: skip
@@ -38,7 +38,7 @@ LINES = {
 
 def recorded(motion, name="paper", seed=3, log="0"):
     """An extraction without images, with nominal wheels."""
-    described = ROBOTS[name]()
+    described = ROBOTS[name]
     extraction = simulated(motion, NOISE, name, seed=seed)
     nominal = Nominal(described.T_h_c @ extraction.rig.cameras.T_c_reference, described.nominal_wheels)
     return replace(

@@ -35,7 +35,7 @@ T = se3.transform(se3.from_rpy(np.array([-1.6, 1.56, 0.4])), np.array([0.05, -0.
 ROBOT = CalibratedRobot(
     "head", "camera's eye", T, WheelGeometry(0.101, 0.102, 0.5), Knowledge(np.eye(9) * 1e-6, np.ones(9, bool))
 )
-CAMERAS = ROBOTS["paper"]().rig_cameras
+CAMERAS = ROBOTS["paper"].rig_cameras
 #: What ros2_controllers' documentation says of these parameters: names, types, what must be above zero.
 POSITIVE = {"type": "number", "exclusiveMinimum": 0}
 NAMES = {"type": "array", "items": {"type": "string", "minLength": 1}, "minItems": 1}

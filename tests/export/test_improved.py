@@ -40,7 +40,7 @@ CENTER = np.array([320.0, 240.0])
 @pytest.fixture(scope="module", params=["paper", "tick"])
 def calibrated(request, tmp_path_factory):
     """(robot, extraction, solution, params.yaml) of a robot that is not as described, with its true constants."""
-    described = ROBOTS[request.param]()
+    described = ROBOTS[request.param]
     extraction = simulated(robot=described, stations=4)
     extraction = replace(extraction, logs=(LogSource("log.mcap", "0" * 64),))
     drawn = draw(described, np.random.default_rng(3))
@@ -278,7 +278,7 @@ def test_sliding_and_coupled_joints():
     """By hand: zeros move a sliding joint's origin along its axis, and a coupled joint's by its multiplier."""
     urdf = parse_urdf(MIMIC.decode())
     chain = HeadChain("base", "head", chain_links(urdf, "base", "head"), pan="pan")
-    rig = replace(rig_of(ROBOTS["tick"]()), chain=chain)
+    rig = replace(rig_of(ROBOTS["tick"]), chain=chain)
     names = [row.name for row in table(rig.cameras, chain) if row.kind.startswith("joint_")]
     values = dict(zip(names, np.linspace(-0.004, 0.005, len(names)), strict=True))
     improved = improved_chain(rig.chain, values)

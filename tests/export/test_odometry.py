@@ -16,7 +16,7 @@ from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import AssumedOdometry, CalibratedRobot, Knowledge, LogSource, WheelGeometry
 from mobilecal_cli.model import Noise as LegNoise
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.targets import Target
 from tests.actual import rolled_as_read
 from tests.extractions import Noise, simulated
@@ -30,7 +30,7 @@ LEVELS = {
     "floor_rad": 0.002,
     "floor_m": 0.001,
 }
-TRUE = paper_robot().wheels
+TRUE = PAPER_ROBOT.wheels
 ROOT = np.array([[2e-4, 0, 0], [1.5e-4, 1e-4, 0], [4e-4, 3e-4, 1e-3]])
 
 

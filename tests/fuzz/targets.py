@@ -46,7 +46,7 @@ from mobilecal_cli.report.motion import motion_gaps
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.rig.resolve import survey_rig
 from mobilecal_cli.rig.settings import settings_of
-from mobilecal_cli.simulate.robot import paper_robot, urdf_text
+from mobilecal_cli.simulate.robot import PAPER_ROBOT, urdf_text
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, simulated
 from tests.formats import HEAD_EYE, text_of
@@ -268,7 +268,7 @@ def targets(folder: Path) -> dict[str, Target]:
         write(path)
         found[name] = Target({"log.mcap": path.read_bytes()}, "log.mcap", use)
     found["rig.yaml"] = Target({"rig.yaml": RIG.encode()}, "rig.yaml", _rig)
-    found["urdf"] = Target({"robot.urdf": urdf_text(paper_robot()).encode()}, "robot.urdf", _urdf)
+    found["urdf"] = Target({"robot.urdf": urdf_text(PAPER_ROBOT).encode()}, "robot.urdf", _urdf)
     small = _small_extraction()
     extraction = extraction_to_npz(small)
     provenance = Provenance("0", "2026-01-01T00:00:00Z", "ml", small.logs, settings_of(small))

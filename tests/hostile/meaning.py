@@ -27,7 +27,7 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 from mobilecal_cli.rig.cameras import BASELINE
-from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, joined, simulated
 from tests.judging import judge
@@ -454,7 +454,7 @@ def swapped_stations(made: Extraction) -> Extraction:
 
 def another_robot(made: Extraction) -> Extraction:
     """A second recording, of a robot with other wheels and another camera."""
-    robot = tick_robot()
+    robot = TICK_ROBOT
     wheels_ = WheelGeometry(*(robot.wheels.vector * [1.1, 1.1, 1.05]))
     T = robot.T_h_c @ se3.transform(se3.exp_so3(np.array([0.05, 0.0, 0.05])), np.array([0.02, 0.0, 0.01]))
     other = replace(robot, wheels=wheels_, T_h_c=T)
@@ -620,7 +620,7 @@ class Outcome:
 
 def outcome(name: str) -> Outcome:
     """Calibrate one wrong recording."""
-    case, robot = WRONG[name], tick_robot()
+    case, robot = WRONG[name], TICK_ROBOT
     try:
         made = case.change(recorded())
         require_stations(made)

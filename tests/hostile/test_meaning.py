@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers import solve
 from tests.extractions import STATION_NOISE, simulated
 from tests.hostile.meaning import OUTCOMES, WRONG, outcome, recorded
@@ -65,7 +65,7 @@ def test_a_board_that_turns_is_the_only_change():
     solution = solve(WRONG["board turned by 5 degrees from the middle"].change(recorded()))
     (jump,) = solution.jumps
     assert (jump.part, jump.station, jump.turn_rad) == ("board", 10, pytest.approx(0.087, abs=0.002))
-    off = solution.parameters.minus(parameters_of(tick_robot())) / solution.uncertainty.std
+    off = solution.parameters.minus(parameters_of(TICK_ROBOT)) / solution.uncertainty.std
     assert np.abs(off).max() < 3
 
 
@@ -73,7 +73,7 @@ def test_a_board_that_turns_is_the_only_change():
 def test_a_board_that_sinks_does_no_harm():
     """The floor's height takes it up: the result is right, and so are its standard deviations."""
     solution = solve(WRONG["board 3 cm lower from the middle"].change(recorded()))
-    off = solution.parameters.minus(parameters_of(tick_robot())) / solution.uncertainty.std
+    off = solution.parameters.minus(parameters_of(TICK_ROBOT)) / solution.uncertainty.std
     assert np.abs(off).max() < 3
     assert solution.uncertainty.noise.floor_m == pytest.approx(0.015, rel=0.3)
     assert all(jump.part == "board" for jump in solution.jumps)

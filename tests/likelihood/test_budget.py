@@ -18,7 +18,7 @@ def test_stations_do_not_pull_the_size_of_the_squares():
     rig = replace(extraction.rig, prior_sigmas={"all": 0.0, "square_scale": SIGMA})
     # A height that the robot description states wrongly pulls at it; one with a prior of the user is estimated.
     height = Constraints(
-        priors={"t_z": (float(parameters_of(imperfect.ROBOTS[case.robot]()).T_h_c[2, 3]), 0.1)}
+        priors={"t_z": (float(parameters_of(imperfect.ROBOTS[case.robot]).T_h_c[2, 3]), 0.1)}
     )
     square = solve(replace(extraction, rig=rig), constraints=height).constants["square_scale"]
     assert square.std == pytest.approx(SIGMA, rel=0.02)

@@ -3,14 +3,14 @@
 import numpy as np
 
 from mobilecal_cli.likelihood.constants import FREE, KINDS, PATTERNS, floors_of, table, with_priors
-from mobilecal_cli.simulate.robot import paper_robot, tick_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT, TICK_ROBOT
 from tests.robots import chain_of, three_on_pan_tilt
 
 
 def test_every_kind_of_the_table_has_rows():
     of_others = {"camera_rotation", "camera_position"}
     of_pairs = {"stereo_rotation", "baseline_direction", "baseline_length"}
-    lacking = ((paper_robot(), of_others), (tick_robot(), of_others), (three_on_pan_tilt(), of_pairs))
+    lacking = ((PAPER_ROBOT, of_others), (TICK_ROBOT, of_others), (three_on_pan_tilt(), of_pairs))
     for robot, lacks in lacking:
         rows = (*table(robot.rig_cameras, chain_of(robot)), *floors_of([0, 1]))
         assert {row.kind for row in rows} | PATTERNS == {kind.name for kind in KINDS} - lacks
@@ -20,7 +20,7 @@ def test_every_kind_of_the_table_has_rows():
 
 
 def test_priors_narrow_widen_fix_and_free():
-    robot = tick_robot()
+    robot = TICK_ROBOT
     rows = table(robot.rig_cameras, chain_of(robot))
     given = {"focal_length": 0.01, "focal_left": 0.0, "joint_zero": np.inf, "pan_scale": 2e-5}
     sigmas = {row.name: row.sigma for row in with_priors(rows, given)}

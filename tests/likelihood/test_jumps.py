@@ -9,7 +9,7 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.model import Evidence, EvidenceValue
-from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import findings, solve
 from mobilecal_cli.solvers.constraints import Constraints
@@ -31,7 +31,7 @@ from tests.judging import judge
 from tests.pairs import with_views
 from tests.truth import parameters_of
 
-ROBOT, STATIONS, HALF = tick_robot(), 16, 8
+ROBOT, STATIONS, HALF = TICK_ROBOT, 16, 8
 ROUTE = plan_route(ROBOT, "standard", stations=STATIONS, seed=2)
 NOISE = Noise(0.1, 0.003, 0.0, 3.5e-4)
 
@@ -229,7 +229,7 @@ def with_wheel(whole, side, from_ns, change):
 def test_a_wheel_that_changes_under_a_fixed_camera_is_no_exchange_of_both():
     """With the camera turned around, reversed wheels fit as well as the right ones: refused as swapped or reversed."""
     case = Case(robot="camera on the base", stations=12).drawn(noise=CORRELATED)
-    robot, constants = ROBOTS[case.robot](), case.constants(1000)
+    robot, constants = ROBOTS[case.robot], case.constants(1000)
     whole = extraction_of(robot, case.route(1000), case.noise, 1000, constants=constants)
     half_way_ns = (whole.observations[3].time_ns + whole.observations[4].time_ns) // 2
     (jump,) = solve(with_wheel(whole, "right", half_way_ns, 0.925)).jumps
@@ -303,7 +303,7 @@ def test_legs_that_slip_one_after_another(whole):
 @pytest.mark.long
 def test_a_board_that_moves_twice_is_named_with_one_of_its_moves():
     """The search for noise levels ended where rounding decides: "do not determine all parameters", record more stations."""
-    robot, random, parts = tick_robot(), np.random.default_rng(3), []
+    robot, random, parts = TICK_ROBOT, np.random.default_rng(3), []
     route = plan_route(robot, "standard", 24, seed=3)
     noise = replace(STATION_NOISE, pixel_px=0.1, joint_rad=1e-4, wheel_rad_per_sqrt_rad=0.002)
     for _ in range(3):
@@ -319,7 +319,7 @@ def test_a_board_that_moves_twice_is_named_with_one_of_its_moves():
 
 @pytest.mark.parametrize("other", [pytest.param(False, marks=pytest.mark.long), True])
 def test_recordings_of_two_boards_differ_in_the_boards_shape(other):
-    case, robot = Case(stations=12).drawn(noise=CORRELATED), tick_robot()
+    case, robot = Case(stations=12).drawn(noise=CORRELATED), TICK_ROBOT
     constants = case.constants(1000)
     redrawn = draw(robot, np.random.default_rng(24), 1.0, {"square_size", "board_bend"})
     both = [
@@ -333,7 +333,7 @@ def test_recordings_of_two_boards_differ_in_the_boards_shape(other):
 @pytest.mark.parametrize("larger", [1.01, pytest.param(1.15, marks=pytest.mark.long)])
 def test_both_wheels_that_differ_between_recordings_are_named_together(larger):
     """As by more pressure: the left wheel alone was named; or all legs of one recording were slips, and a warning."""
-    case, robot = Case(stations=12).drawn(noise=CORRELATED), tick_robot()
+    case, robot = Case(stations=12).drawn(noise=CORRELATED), TICK_ROBOT
     one, other = (extraction_of(robot, case.route(seed), NOISE, seed) for seed in (23, 123))
     both = joined(one, with_wheel(with_wheel(other, "right", 0, larger), "left", 0, larger))
     solution = solve(both)

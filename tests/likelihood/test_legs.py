@@ -13,7 +13,7 @@ from mobilecal_cli.likelihood.processes import processes_of
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.measured import from_motions
 from mobilecal_cli.model import Noise, Parameters
-from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers.initial import initial_state
 from tests.actual import draw
 from tests.extractions import simulated
@@ -55,7 +55,7 @@ def test_motions_of_a_planar_sensor_have_the_derivatives_of_differences():
 def test_the_mean_scale_error_of_a_leg_with_known_ends_is_that_of_a_bridge():
     """By a fine grid: the variance of the mean of a process with covariance exp(-d), given its two ends."""
     extraction = simulated(robot="tick", stations=4, seed=1)
-    steps, wheels = dataset_of(extraction).steps(), tick_robot().wheels
+    steps, wheels = dataset_of(extraction).steps(), TICK_ROBOT.wheels
     noise = replace(LEVELS, wheel_share=0.01, wheel_length_m=0.5)
     alone = leg_covariances(steps, wheels, noise, ends_known=True)["wheel_share"]
     free = leg_covariances(steps, wheels, noise)["wheel_share"]
@@ -81,7 +81,7 @@ def test_the_mean_scale_error_of_a_leg_with_known_ends_is_that_of_a_bridge():
 def test_a_prior_that_is_twice_as_wide_weighs_a_quarter():
     extraction = simulated(robot="tick", stations=4, seed=1)
     data = dataset_of(extraction, table(extraction.rig.cameras, extraction.rig.chain))
-    priors = no_priors(data.layout, parameters_of(tick_robot()))
+    priors = no_priors(data.layout, parameters_of(TICK_ROBOT))
     stated = np.ones(data.layout.size)
     priors = replace(priors, stated_weight=stated, alike=stated > 0).widened({"focal_length": 2.0})
     wide = np.array([name in ("focal_left", "focal_right") for name in data.layout.names])
@@ -96,7 +96,7 @@ def test_a_prior_that_is_twice_as_wide_weighs_a_quarter():
         ("moving", {"readout": 0.02}),
         ("moving", {"time_right": 0.01}),
         ("moving", {"time_joints": 0.02}),
-        ("standard", draw(tick_robot(), np.random.default_rng(0))),
+        ("standard", draw(TICK_ROBOT, np.random.default_rng(0))),
     ],
     ids=["readout", "time_right", "time_joints", "all at rest"],
 )
@@ -105,7 +105,7 @@ def test_corners_are_where_a_robot_with_these_constants_shows_them(motion, const
 
     The robot's formulas are those of `tests.actual`: each constant counts there and here, alike.
     """
-    robot = tick_robot()
+    robot = TICK_ROBOT
     rows = table(robot.rig_cameras, chain_of(robot))
     exact, data = (
         dataset_of(simulated(motion, robot=robot, seed=1, constants=each), rows) for each in ({}, constants)
@@ -127,7 +127,7 @@ def test_corners_are_where_a_robot_with_these_constants_shows_them(motion, const
 
 
 def test_corners_with_no_constant_of_a_lens_are_exact():
-    robot = tick_robot()
+    robot = TICK_ROBOT
     rows = [row for row in table(robot.rig_cameras, chain_of(robot)) if row.kind == "stereo_clock"]
     data = dataset_of(simulated(robot=robot, stations=4, seed=1), rows)
     state = initial_state(data, parameters_of(robot), Inliers.all_of(data))

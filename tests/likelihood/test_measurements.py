@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from mobilecal_cli.likelihood.dataset import between_readings, dataset_of
 from mobilecal_cli.model import Track, sampled
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.simulate.route import plan_route
 from tests.bench import imperfect
 from tests.extractions import extraction_of
 
 NOISE_RAD = np.radians(0.2)
-ROUTE = plan_route(paper_robot(), "standard", stations=6, seed=0)
-EXTRACTION = extraction_of(paper_robot(), ROUTE)
+ROUTE = plan_route(PAPER_ROBOT, "standard", stations=6, seed=0)
+EXTRACTION = extraction_of(PAPER_ROBOT, ROUTE)
 
 # -- the direction of a joint's last motion -----------------------------------------------------------
 

@@ -17,7 +17,7 @@ from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.likelihood.views import roots, summed
 from mobilecal_cli.model import Board, Noise
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
@@ -49,7 +49,7 @@ class Case:
     """A linearization at a random state, with dense normal equations in (shared, boards, base blocks, own errors)."""
 
     def __init__(self):
-        robot, logs = paper_robot(), 2
+        robot, logs = PAPER_ROBOT, 2
         constants = (*table(robot.rig_cameras, chain_of(robot)), *floors_of(range(logs)))
         route = plan_route(robot, "moving", STATIONS, Board(5, 4, 0.1))
         disturbed = extractions.Noise(0.2, 0.003)  # the tracks of exact joints have derivatives

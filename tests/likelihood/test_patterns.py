@@ -64,6 +64,6 @@ def test_waves_of_a_lens_do_no_harm_to_sharp_images_of_one_camera(motion, seed):
     case = replace(case.drawn(noise=replace(imperfect.USUAL, pixel_px=0.03)), outside=waves)
     extraction = case.extraction(seed)
     solution = solve(extraction)
-    true = imperfect.true_robot(imperfect.ROBOTS[case.robot](), extraction, case.route(seed))
+    true = imperfect.true_robot(imperfect.ROBOTS[case.robot], extraction, case.route(seed))
     assert judge(solution, extraction).level == "PASS"
     assert np.nanmax(np.abs(errors(solution.parameters, true) / solution.uncertainty.std)) < 3

@@ -12,7 +12,7 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood import suggest
 from mobilecal_cli.model import NINE
 from mobilecal_cli.report.findings import suggestion_sentences
-from mobilecal_cli.simulate.robot import paper_robot, pixels
+from mobilecal_cli.simulate.robot import PAPER_ROBOT, pixels
 from mobilecal_cli.solvers import Constraints, solve
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
@@ -33,7 +33,7 @@ def test_they_name_what_is_worst_and_would_help():
     for suggestion in solution.suggestions:
         assert suggestion.std_now == pytest.approx(std[suggestion.worst], rel=0.3)
         assert suggestion.std_then < suggestion.std_now
-        assert len(suggestion.joints) == len(chain_of(paper_robot()).joints)
+        assert len(suggestion.joints) == len(chain_of(PAPER_ROBOT).joints)
     best = solve(simulated("straight", noise, seed=3)).suggestions[0]
     assert best.worst == "separation"
     assert best.turn_rad != 0
@@ -42,7 +42,7 @@ def test_they_name_what_is_worst_and_would_help():
 
 @pytest.mark.parametrize("configuration", [(1, "none"), (2, "none"), (1, "pan")])
 def test_stops_are_suggested_for_cameras_that_no_joint_pans_or_tilts(configuration):
-    robot = CONFIGURATIONS[configuration]()
+    robot = CONFIGURATIONS[configuration]
     extraction = simulated("standard", NOISE, robot, 8, 1)
     solution = fitted(extraction).solution
     assert solution.suggestions
@@ -63,7 +63,7 @@ def test_stops_are_suggested_for_cameras_that_no_joint_pans_or_tilts(configurati
 
 def test_a_camera_that_does_not_show_the_board_tells_nothing():
     """One looks aside: as if it saw the board behind it, "the measurements do not determine all parameters"."""
-    extraction = simulated("standard", NOISE, CONFIGURATIONS[3, "pan-tilt"](), 8, 1)
+    extraction = simulated("standard", NOISE, CONFIGURATIONS[3, "pan-tilt"], 8, 1)
     lin = robust_fit(Inference.of(extraction, Constraints())).lin
     cameras = lin.state.cameras
     away = se3.transform(Rotation.from_euler("y", 75, degrees=True).as_matrix(), np.zeros(3))

@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 
+from mobilecal_cli.calibrate.detect import thumbnail_jpeg
 from mobilecal_cli.calibrate.steps import Data, Fit, Report
 from mobilecal_cli.export.params import params_yaml, with_verdict
 from mobilecal_cli.model import (
@@ -27,15 +28,14 @@ from mobilecal_cli.model import (
 from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.values import ReportData, build_report
-from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers import constraints_of, solve
-from mobilecal_cli.vision import thumbnail_jpeg
 from tests.actual import draw
 from tests.extractions import STATION_NOISE, Noise, joined, simulated
 from tests.pairs import with_pair
 from tests.robots import true_nominal
 
-ROBOT = tick_robot()
+ROBOT = TICK_ROBOT
 WHEELS = ROBOT.wheels
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
 
@@ -212,7 +212,7 @@ def solved(*constants, motion="standard", fixed=()):
 
 @cache
 def drawn():
-    extraction = recorded(draw(tick_robot(), np.random.default_rng(1)))
+    extraction = recorded(draw(TICK_ROBOT, np.random.default_rng(1)))
     return solve(extraction), extraction
 
 

@@ -41,7 +41,7 @@ def browser():
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     """A report with every section: held-out stations, change, outliers, rejections, names that would steer."""
-    robot = ROBOTS["paper"]()
+    robot = ROBOTS["paper"]
     noise = Noise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.003, joint_rad=1e-3)
     extraction = simulated(noise=noise)
     time_ns = extraction.observations[3].time_ns

@@ -16,7 +16,7 @@ from mobilecal_cli.likelihood.constants import corrected_chain
 from mobilecal_cli.model import Corners, Nominal
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import image_coverage
-from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers import constraints_of, solve
 from tests.pairs import with_views
 from tests.report.example import (
@@ -98,7 +98,7 @@ def of_the_right_camera():
 def test_the_right_camera_has_the_estimated_pose_in_the_pair():
     """The recording shows where the right camera is; camera_info is off by 0.7 degrees."""
     solution, extraction = of_the_right_camera()
-    robot = tick_robot()
+    robot = TICK_ROBOT
     turn = se3.transform(se3.exp_so3(np.radians([0.7, 0, 0])), np.zeros(3))
     T_c_r = extraction.rig.cameras.T_c_each[1].copy()
     T_c_r[:3, :3] = turn[:3, :3] @ T_c_r[:3, :3]

@@ -183,4 +183,4 @@ def test_every_simulated_robot_passes(tmp_path):
         extraction = simulated(noise=Noise(pixel_px=0.1), robot=name, stations=4, seed=0)
         path = tmp_path / f"{name}.npz"
         path.write_bytes(extraction_to_npz(replace(extraction, logs=make_extraction().logs)))
-        assert read_extraction(path).rig.chain.joints == robot().joint_names
+        assert read_extraction(path).rig.chain.joints == robot.joint_names

@@ -14,7 +14,7 @@ from mobilecal_cli.rig.settings import prior_sigmas, shown_priors
 from mobilecal_cli.simulate.robot import ROBOTS
 from tests.rig.test_resolve import AT_BASE, config, description, resolve_rig
 
-CAMERAS = ROBOTS["paper"]().rig_cameras
+CAMERAS = ROBOTS["paper"].rig_cameras
 CHAIN = HeadChain(
     "base",
     "head",

@@ -14,8 +14,7 @@ from mobilecal_cli.errors import OutputError
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.readers import open_recording, read_description, read_images, read_signals
 from mobilecal_cli.se3 import from_quaternion_xyzw
-from mobilecal_cli.simulate.messages import START_NS
-from mobilecal_cli.simulate.record import simulate, truth_path
+from mobilecal_cli.simulate.record import START_NS, simulate, truth_path
 from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, ROBOTS, urdf_text
 from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.simulate.scenario import Scenario, World
@@ -38,7 +37,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 def contents(path: Path, scenario: Scenario):
     """Everything that a calibration reads: robot description, signals and decoded images."""
-    robot = ROBOTS[scenario.robot]()
+    robot = ROBOTS[scenario.robot]
     sources = sources_of(robot, compressed=scenario.pictures != "mono8")
     with open_recording([path]) as recording:
         description = read_description(recording)
@@ -95,7 +94,7 @@ def test_every_container_holds_the_same_values(once, reference, container):
         assert [name for name, _ in pairs] == [name for name, _ in wanted]
         for (name, value), (_, same) in zip(pairs, wanted, strict=True):
             assert np.array_equal(value, same), name
-    assert description.urdfs == reference[0].urdfs == {"/robot_description": urdf_text(ROBOTS["paper"]())}
+    assert description.urdfs == reference[0].urdfs == {"/robot_description": urdf_text(ROBOTS["paper"])}
     assert signals.notes == ()
 
 
@@ -176,7 +175,7 @@ def test_a_moving_route_is_seen_ten_times_a_second_with_both_cameras_at_once(tmp
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_urdf_draws_the_head_chain_and_the_nominal_wheels(name):
-    robot = ROBOTS[name]()
+    robot = ROBOTS[name]
     urdf = parse_urdf(urdf_text(robot))
     path = urdf.path(robot.base_frame, robot.head_frame)
     assert tuple(joint.name for joint in path if joint.name in robot.joint_names) == robot.joint_names

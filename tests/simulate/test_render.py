@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.model import Board, Camera
 from mobilecal_cli.simulate.render import BoardRenderer
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 
 BOARD = Board(9, 6, 0.08)
 CORNERS_K = BOARD.grid() * BOARD.square_m
@@ -50,7 +50,7 @@ def renderer(camera, board=BOARD):
 
 @pytest.fixture(scope="module")
 def lens():
-    return paper_robot().rig_cameras.each[1]
+    return PAPER_ROBOT.rig_cameras.each[1]
 
 
 @pytest.fixture(scope="module")

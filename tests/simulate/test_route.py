@@ -18,7 +18,7 @@ STATIONS = 6
 
 @cache
 def planned(name, motion):
-    robot = ROBOTS[name]()
+    robot = ROBOTS[name]
     return robot, plan_route(robot, motion, STATIONS, Board(9, 6, 0.07), seed=3)
 
 
@@ -103,14 +103,14 @@ def test_each_motion_is_what_its_name_says():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_large_turns_turn_by_more_than_half_a_turn_and_no_more_than_300_degrees(seed):
-    route = plan_route(ROBOTS["paper"](), "large_turns", STATIONS, seed=seed)
+    route = plan_route(ROBOTS["paper"], "large_turns", STATIONS, seed=seed)
     headings = route.drive.poses(route.rests_s.mean(axis=1))[:, 2]
     assert 180 < np.degrees(np.abs(np.diff(headings)).max()) <= 300.001
 
 
-@pytest.mark.parametrize("name", [name for name, robot in ROBOTS.items() if robot().tilt])
+@pytest.mark.parametrize("name", [name for name, robot in ROBOTS.items() if robot.tilt])
 def test_looking_at_a_point_puts_it_on_the_optical_axis(name):
-    robot = ROBOTS[name]()
+    robot = ROBOTS[name]
     planner = Planner(robot, Board(9, 6, 0.08), np.random.default_rng(0))
     base, point_w = (0.2, -0.1, 0.3), np.array([2.0, 0.4, 0.9])
     joints = planner.look_at(base, point_w, np.zeros(len(robot.joint_names)))
@@ -121,10 +121,10 @@ def test_looking_at_a_point_puts_it_on_the_optical_axis(name):
 
 
 def test_the_same_seed_gives_the_same_route_and_another_seed_another():
-    robot = ROBOTS["paper"]()
+    robot = ROBOTS["paper"]
     first, again, other = (plan_route(robot, "standard", 4, seed=seed) for seed in (5, 5, 6))
     assert np.array_equal(first.knots_rad, again.knots_rad)
     assert first.drive.stretches == again.drive.stretches
     assert first.drive.stretches != other.drive.stretches
     with pytest.raises(ConfigError, match="whole board"):
-        plan_route(ROBOTS["paper"](), "standard", 4, Board(9, 6, 0.5))
+        plan_route(ROBOTS["paper"], "standard", 4, Board(9, 6, 0.5))

@@ -37,8 +37,8 @@ def shown(robot):
 
 @cache
 def recorded(robot, seed):
-    """A recording of a robot, given as the function that describes it, and its fit."""
-    extraction = simulated("standard", NOISE, robot(), 20, seed)
+    """A recording of a robot, and its fit."""
+    extraction = simulated("standard", NOISE, robot, 20, seed)
     return extraction, fitted(extraction)
 
 
@@ -51,7 +51,7 @@ _ALWAYS = {(1, "none"), (2, "pan-tilt"), (3, "pan")}
     [pytest.param(*key, marks=[pytest.mark.long] * (key not in _ALWAYS)) for key in CONFIGURATIONS],
 )
 def test_exact_measurements_give_the_true_robot(cameras, chain):
-    robot = CONFIGURATIONS[cameras, chain]()
+    robot = CONFIGURATIONS[cameras, chain]
     extraction = simulated(robot=robot, stations=14, seed=1)
     assert len(extraction.rig.cameras.each) == cameras
     found = fitted(as_described(extraction))
@@ -68,7 +68,7 @@ def test_exact_measurements_give_the_true_robot(cameras, chain):
     ],
 )
 def test_stated_sigmas_are_true(cameras, chain, seed):
-    robot = CONFIGURATIONS[cameras, chain]()
+    robot = CONFIGURATIONS[cameras, chain]
     _, found = recorded(CONFIGURATIONS[cameras, chain], seed)
     assert nees(found.parameters, found.covariance, robot, shown(robot)) < 2.7  # chance 0.5 % of 8 or 9
 
@@ -76,7 +76,7 @@ def test_stated_sigmas_are_true(cameras, chain, seed):
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["tick", "paper", "fixed_camera"])
 def test_each_camera_of_a_pair_alone_agrees_with_both(name):
-    robot = ROBOTS[name]()
+    robot = ROBOTS[name]
     both, pair = recorded(ROBOTS[name], 3)
     for k, T_c_camera in enumerate(both.rig.cameras.T_c_each):
         one, expected = fitted(alone(both, k)), pair.parameters.seen_from(T_c_camera)
@@ -87,7 +87,7 @@ def test_each_camera_of_a_pair_alone_agrees_with_both(name):
 
 @pytest.mark.long
 def test_a_station_counts_with_the_cameras_that_show_the_board():
-    extraction, found = recorded(three_on_pan_tilt, 0)
+    extraction, found = recorded(three_on_pan_tilt(), 0)
     seen = dataset_of(extraction).seen.any(axis=2)
     assert seen[:, 0].all()
     assert seen[:, 1].any()
@@ -104,7 +104,7 @@ def test_a_station_counts_with_the_cameras_that_show_the_board():
 @pytest.mark.parametrize(("cameras", "chain"), [(1, "none"), (1, "pan-tilt"), (2, "pan-tilt")])
 def test_a_board_that_one_camera_shows_is_where_the_estimated_camera_has_it(cameras, chain):
     """Its pose is that of the stated camera: projected by the estimated one, it was 17 px off, and the result FAIL."""
-    robot = CONFIGURATIONS[cameras, chain]()
+    robot = CONFIGURATIONS[cameras, chain]
     names = ("principal_camera_x", "principal_camera_y", "focal_camera")
     names = names if cameras == 1 else tuple(name.replace("camera", "right") for name in names)
     off = dict(zip(names, (0.02, -0.015, 0.02), strict=True))
@@ -122,7 +122,7 @@ def test_a_board_that_one_camera_shows_is_where_the_estimated_camera_has_it(came
 )
 def test_a_pair_of_which_one_camera_sees_the_board(name, square_m):
     """Stations with one camera add to those with both; half of them with each camera alone."""
-    robot = ROBOTS[name]()
+    robot = ROBOTS[name]
     both, whole = recorded(ROBOTS[name], 0)
     single = with_one_view(both, {i: (i // 2) % 2 for i in range(1, 20, 2)})
     pairs = tuple(o for o in single.observations if o.several)

@@ -15,7 +15,7 @@ from tests.bench.imperfect import PERFECT, Case
 from tests.extractions import Noise, joined, simulated
 from tests.truth import parameters_of
 
-ROBOT = ROBOTS["paper"]()
+ROBOT = ROBOTS["paper"]
 TRUTH = parameters_of(ROBOT)
 
 

@@ -13,14 +13,14 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import NINE, FixedLink, HeadChain, JointLink, WheelTrack
 from mobilecal_cli.report.motion import motion_gaps
-from mobilecal_cli.simulate.robot import fixed_camera_robot, rgbd_robot
+from mobilecal_cli.simulate.robot import FIXED_CAMERA_ROBOT, RGBD_ROBOT
 from mobilecal_cli.solvers.constraints import Constraints, constraints_of
 from mobilecal_cli.solvers.inference import Inference
 from tests.extractions import Noise, simulated
 from tests.fits import maximum_likelihood
 from tests.truth import nees, parameters_of
 
-ROBOT = fixed_camera_robot()
+ROBOT = FIXED_CAMERA_ROBOT
 NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
 
 
@@ -48,13 +48,11 @@ def test_all_but_the_height_is_calibrated_and_the_verdict_is_about_it():
 def test_what_turns_the_camera_in_its_mount_shows_no_height():
     """The lever of a base that leans seemed to show it: off by up to 21 sigmas, with a PASS."""
     noise = replace(NOISE, pixel_px=0.02, floor_rad=1e-4, floor_m=1e-4, shift_px=1.0)
-    found = fitted(simulated("standard", noise, rgbd_robot(), 20, 0)).solution.uncertainty
+    found = fitted(simulated("standard", noise, RGBD_ROBOT, 20, 0)).solution.uncertainty
     assert found.described[NINE.index("t_z")]
     assert np.sqrt(found.covariance[5, 5]) == pytest.approx(0.1, rel=0.01)
     height = constraints_of([], ["t_z=0.55±0.02"], [])
-    stated = fitted(
-        simulated("standard", noise, rgbd_robot(), 20, 0), constraints=height
-    ).solution.uncertainty
+    stated = fitted(simulated("standard", noise, RGBD_ROBOT, 20, 0), constraints=height).solution.uncertainty
     assert np.sqrt(stated.covariance[5, 5]) < 0.021
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import Track, WheelTrack
-from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.initial import linear_estimate
 from tests.bench.imperfect import ROBOTS, USUAL, Case, true_robot
@@ -67,7 +67,7 @@ def exchanged(extraction, station):
 def test_it_is_left_out(name, stations, spoil, kind, said):
     case = Case(name, stations).drawn(noise=USUAL)
     extraction = case.extraction(SEED)
-    robot = true_robot(ROBOTS[name](), extraction, case.route(SEED))
+    robot = true_robot(ROBOTS[name], extraction, case.route(SEED))
     spoilt = spoil(extraction, 2 * stations // 3)
     solution = solve(spoilt)
     outliers = [outlier for outlier in solution.outliers if outlier.kind != "corners"]
@@ -113,7 +113,7 @@ def restarted(extraction):
 def test_a_leg_without_readings_is_no_slip(spoil, said):
     """It was "Wheel slip or moved board", beside a note on the gap."""
     noise = replace(STATION_NOISE, pixel_px=0.1, joint_rad=2e-4, wheel_rad_per_sqrt_rad=0.003)
-    extraction = spoil(simulated("standard", noise, tick_robot(), 9))
+    extraction = spoil(simulated("standard", noise, TICK_ROBOT, 9))
     (outlier,) = solve(extraction).gross_outliers
     assert re.match(said, outlier.text)
     assert ("Check the driver" in outlier.text) == ("slip" not in said)

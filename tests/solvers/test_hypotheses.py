@@ -12,7 +12,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen
 from mobilecal_cli.model import SIDES, Nominal, Track, WheelSource
-from mobilecal_cli.simulate.robot import fixed_camera_robot, tick_robot
+from mobilecal_cli.simulate.robot import FIXED_CAMERA_ROBOT, TICK_ROBOT
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.hypotheses import FREE, FROZEN, STILL, WHOLE, _free_wheels, _noise_at_rest
 from mobilecal_cli.solvers.readings import readings_of
@@ -34,7 +34,7 @@ from tests.hostile.meaning import (
 from tests.judging import judge
 from tests.robots import true_nominal
 
-ROBOT = tick_robot()
+ROBOT = TICK_ROBOT
 
 
 NOISE = Noise(0.2, 0.003, 0.0, 1e-3)
@@ -60,7 +60,7 @@ STUCK = from_sixth(lambda v: 0 * v)
 
 def test_a_robot_without_joints_has_no_mistake_in_their_readings():
     """A changed wheel was "the joint readings are in degrees": without joints, any such correction changes nothing."""
-    robot = fixed_camera_robot()
+    robot = FIXED_CAMERA_ROBOT
     readings = readings_of(simulated("standard", NOISE, robot, seed=0))
     families = [family for stages in (WHOLE, FROZEN, FREE) for stage in stages for family in stage]
     rows = [row.cause for family in families for row in family(readings)]

@@ -10,14 +10,14 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import Increments
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import WheelGeometry
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.solvers import initial
 from mobilecal_cli.solvers.initial import grid_of_starts, linear_estimate
 from mobilecal_cli.solvers.linear import Rounds
 from tests.extractions import Noise, joined, simulated
 from tests.truth import errors
 
-ROBOT = paper_robot()
+ROBOT = PAPER_ROBOT
 WHEELS = ROBOT.wheels
 EXACT = 1e-9
 

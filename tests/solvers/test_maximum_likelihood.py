@@ -12,8 +12,8 @@ from mobilecal_cli.likelihood import between
 from mobilecal_cli.likelihood.constants import table
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import NINE, Corners, Noise, Nominal, Track, WheelTrack
-from mobilecal_cli.simulate.messages import nanoseconds
-from mobilecal_cli.simulate.robot import paper_robot, tick_robot
+from mobilecal_cli.simulate.record import nanoseconds
+from mobilecal_cli.simulate.robot import PAPER_ROBOT, TICK_ROBOT
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.solvers import maximum_likelihood as recipe
@@ -26,7 +26,7 @@ from tests.pairs import with_views
 from tests.robots import chain_of, three_on_pan_tilt
 from tests.truth import nees
 
-ROBOT = paper_robot()
+ROBOT = PAPER_ROBOT
 NOISE = Disturbance(0.2, 0.003, 0.0, np.radians(0.05))
 GIVEN = {"pixel_px": 0.2, "wheel_rad_per_sqrt_rad": 0.003, "joint_rad": float(np.radians(0.05))}
 
@@ -214,7 +214,7 @@ def test_what_the_motion_hides_is_held_and_the_rest_is_sound(motion, held):
 
 def test_a_head_held_tilted_hides_the_base_s_vertical_and_no_more():
     """The drawing is wrong by (4, 3, -6) mm: along the vertical it stays so, across it the log puts it right."""
-    robot, tilt = tick_robot(), np.array([0.0, np.radians(20)])
+    robot, tilt = TICK_ROBOT, np.array([0.0, np.radians(20)])
     level, tilted = head_pose(chain_of(robot), np.stack([np.zeros(2), tilt]))
     T_h_c = se3.inverse(tilted) @ level @ robot.T_h_c  # the same camera on a tilted head
     wrong = T_h_c.copy()
@@ -401,7 +401,7 @@ def test_what_is_misstated_is_named_and_does_no_harm(name, kind, by):
 
 def test_a_wrong_link_between_pan_and_tilt_is_named():
     """5 cm along x. Small tilts hardly show it, and the floor's height could take it up: fifty times its prior says no."""
-    robot = tick_robot()
+    robot = TICK_ROBOT
     noise = Disturbance(0.1, 0.003, 0.0, 4e-4, floor_rad=1e-3, floor_m=5e-4)
     found = solve(misstated("tilt_position_x", 0.05, robot, noise, stations=20))
     assert {e.kind for e in found.contradictions} == {"joint_position"}

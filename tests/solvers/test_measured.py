@@ -14,7 +14,7 @@ from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.kinematics.wheels import Increments
 from mobilecal_cli.measured import Drive, TargetPose, from_motions, from_poses
 from mobilecal_cli.model import Parameters, SensorMotion, WheelGeometry
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.solve import solve
@@ -30,7 +30,7 @@ SIGMA = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])  # rad, m
 @cache
 def drive(seed, stated=1.0, times=1.0):
     """A pan-tilt robot's poses of a target, with noise of `times` `SIGMA`; the covariance is stated with another scale."""
-    robot, random, sigma = paper_robot(), np.random.default_rng(seed), times * SIGMA
+    robot, random, sigma = PAPER_ROBOT, np.random.default_rng(seed), times * SIGMA
     exact = simulated("standard", Noise(0, 0.003, 0, 1e-4), robot, 20, seed)
     covariance = np.diag((stated * sigma) ** 2)
     poses = []

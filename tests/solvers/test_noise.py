@@ -65,7 +65,7 @@ def test_a_joint_at_another_place_is_no_noise_of_the_floor(off_m, seed):
     case = imperfect.Case(stations=24, noise=imperfect.USUAL).drawn(fixed={"tilt_position_x": off_m})
     extraction = case.extraction(seed)
     solution = solve(extraction)
-    true = imperfect.true_robot(imperfect.ROBOTS[case.robot](), extraction, case.route(seed))
+    true = imperfect.true_robot(imperfect.ROBOTS[case.robot], extraction, case.route(seed))
     run = imperfect.judged(solution, extraction, true)
     assert run.level == "FAIL"
     assert np.abs(run.error / run.std).max() < 3.5
@@ -79,7 +79,7 @@ def test_two_kinds_that_explain_the_same_do_not_take_turns():
     case = case.drawn(fixed={"pan_zero": math.radians(7.5)})
     extraction = case.extraction(1)
     solution = solve(extraction)
-    true = imperfect.true_robot(imperfect.ROBOTS[case.robot](), extraction, case.route(1))
+    true = imperfect.true_robot(imperfect.ROBOTS[case.robot], extraction, case.route(1))
     run = imperfect.judged(solution, extraction, true)
     assert np.abs(run.error / run.std).max() < 3.5
     assert [each.kind for each in solution.contradictions] == ["joint_zero"]
@@ -134,7 +134,7 @@ def test_cameras_without_a_common_trigger_leave_the_result_right(robot, seed):
     assert 0.7e-3 < found.pair_s < 1.4e-3
     assert "pair_s" in found.estimated
     assert found.pixel_px == pytest.approx(0.03, rel=0.1)
-    true = imperfect.true_robot(imperfect.ROBOTS[robot](), extraction, case.route(seed))
+    true = imperfect.true_robot(imperfect.ROBOTS[robot], extraction, case.route(seed))
     run = imperfect.judged(solution, extraction, true)
     assert run.level == "PASS"
     assert np.abs(run.error / run.std).max() < 3.5
@@ -171,7 +171,7 @@ def test_images_that_shift_are_no_change_of_a_camera(robot, motion, shift_px):
     assert found.pixel_px == pytest.approx(0.1, rel=0.05)
     assert not solution.jumps
     run = imperfect.judged(
-        solution, extraction, imperfect.true_robot(imperfect.ROBOTS[robot](), extraction, still.route(2))
+        solution, extraction, imperfect.true_robot(imperfect.ROBOTS[robot], extraction, still.route(2))
     )
     assert run.level == "PASS"
     assert np.abs(run.error / run.std).max() < 3.5

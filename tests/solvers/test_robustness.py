@@ -10,7 +10,7 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.model import NINE, FixedLink, JointLink, Parameters, WheelTrack
 from mobilecal_cli.report.tables import noise
-from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
 from mobilecal_cli.solvers.initial import initial_state
 from mobilecal_cli.solvers.outliers import gross_corners
@@ -216,7 +216,7 @@ def test_discrepancies_that_do_not_matter_are_no_outliers():
 
 def test_corners_that_only_the_stated_camera_rejects_are_used():
     """The left camera's radial distortion is 20 times its usual error: corners near the edges miss a flat board."""
-    robot = tick_robot()
+    robot = TICK_ROBOT
     noise = replace(STATION_NOISE, pixel_px=0.05, joint_rad=2e-4, wheel_rad_per_sqrt_rad=0.003)
     extraction = simulated(noise=noise, robot=robot, constants={"distortion_left_radial_1": 0.016})
     data = dataset_of(extraction)
@@ -230,7 +230,7 @@ def test_corners_that_only_the_stated_camera_rejects_are_used():
 
 def test_gross_corners_that_the_stated_pair_accepts():
     """The right camera is rolled by 0.05 degrees: every board misses by as much as the few corners that are 3 px off."""
-    robot, random = tick_robot(), np.random.default_rng(5)
+    robot, random = TICK_ROBOT, np.random.default_rng(5)
     noise = replace(STATION_NOISE, pixel_px=0.1, joint_rad=4e-4, wheel_rad_per_sqrt_rad=0.003)
     ideal = simulated(noise=noise, robot=robot, constants={"stereo_r_x": 0.001})
     bad = random.random((len(ideal.observations), 2, ideal.board.corners)) < 0.05
@@ -253,7 +253,7 @@ def test_gross_corners_that_the_stated_pair_accepts():
 @pytest.mark.parametrize("fixed", [pytest.param(NINE[:6], marks=pytest.mark.long), ("t_x", "r_z")])
 def test_fixed_values_are_those_of_the_reference_camera(fixed):
     """The stereo pair is 0.3 degrees off: the right camera stays, and the left one moves with the estimated pair."""
-    robot = tick_robot()
+    robot = TICK_ROBOT
     noise = replace(STATION_NOISE, pixel_px=0.05, joint_rad=2e-4, wheel_rad_per_sqrt_rad=0.003)
     pair = {"stereo_r_y": 0.005, "baseline_scale": 0.02}
     ideal = simulated(noise=noise, robot=robot, constants=pair)
@@ -275,7 +275,7 @@ def test_fixed_values_are_those_of_the_reference_camera(fixed):
 def test_corners_are_triangulated_again_in_cameras_far_from_the_stated():
     """Principal points many pixels off: undamped steps from far points ended in a singular matrix."""
     off = imperfect.Case(kinds={"principal_point": 5.0})
-    run = imperfect.run_of(off.extraction(26), imperfect.ROBOTS["pan-tilt"]())
+    run = imperfect.run_of(off.extraction(26), imperfect.ROBOTS["pan-tilt"])
     assert set(run.named) == {"principal_point"}
     assert run.nees[3] < 2
 
@@ -341,7 +341,7 @@ def test_a_robot_that_is_carried_slips_and_changes_nothing(robot, stations, legs
     assert [o.observations for o in solution.outliers if o.kind == "slip"] == [(k, k + 1) for k in legs]
     assert not solution.jumps
     run = imperfect.judged(
-        solution, extraction, imperfect.true_robot(imperfect.ROBOTS[robot](), extraction, case.route(1))
+        solution, extraction, imperfect.true_robot(imperfect.ROBOTS[robot], extraction, case.route(1))
     )
     assert run.level == "PASS"
     assert np.abs(run.error / run.std).max() < 4

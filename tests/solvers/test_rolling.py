@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.model import WheelTrack
-from mobilecal_cli.simulate.robot import paper_robot, tick_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT, TICK_ROBOT
 from tests.actual import STATION_NOISE
 from tests.extractions import Outside, simulated
 from tests.truth import nees, parameters_of
@@ -17,7 +17,7 @@ NOISE = replace(STATION_NOISE, pixel_px=0.1, joint_rad=1e-4, wheel_rad_per_sqrt_
 
 def calibrated(motion, **outside):
     """A report whose robot is right, and its result."""
-    robot = tick_robot()
+    robot = TICK_ROBOT
     extraction = simulated(motion, NOISE, robot, 20, 4, outside=Outside(**outside))
     found = fitted(extraction)
     report = Report(Data(extraction), found)
@@ -65,7 +65,7 @@ def test_wheels_that_are_read_one_after_the_other_are_named_and_do_no_harm(motio
 
 def test_rare_readings_of_wheels_do_not_tell_the_path_between_them():
     """At 2 Hz, each turn and drive within half a second was an arc: separations 4 to 7 sigmas too small, all PASS."""
-    robot = paper_robot()
+    robot = PAPER_ROBOT
     extraction = simulated("standard", NOISE, robot, 30, seed=1)
     (track,) = extraction.wheels
     rare_ns = np.arange(track.time_ns[0], track.time_ns[-1], 500_000_000)

@@ -14,7 +14,7 @@ from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import NINE, Corners, WheelGeometry
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.motion import motion_gaps
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.simulate.route import Drive, Stretch, plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from tests import truth
@@ -31,7 +31,7 @@ from tests.pairs import with_views
 from tests.report.example import made, rows_of
 from tests.robots import true_nominal
 
-ROBOT = paper_robot()
+ROBOT = PAPER_ROBOT
 NOISE = Noise(0.2, 0.003, 0.0, np.radians(0.05))
 RADIUS = NINE.index("radius_right")
 

@@ -16,13 +16,13 @@ from tests.truth import errors
 
 def test_a_robot_in_motion_gives_the_truth():
     """Large turns: tests/solvers/test_linear.py. Stamps are whole nanoseconds: 0.5 ns at 5 rad/s of a wheel are left."""
-    robot = ROBOTS["paper"]()
+    robot = ROBOTS["paper"]
     solution = solve(simulated("moving", robot=robot, seed=0, nominal=False, images=12))
     assert np.abs(errors(solution.parameters, robot)).max() < 1e-7
 
 
 def test_residuals_and_the_world_fit_together():
-    robot = ROBOTS["paper"]()
+    robot = ROBOTS["paper"]
     route = plan_route(robot)
     extraction = extraction_of(robot, route, Noise(pixel_px=0.2), seed=1)
     solution = solve(extraction, "lm")

@@ -7,7 +7,7 @@ import pytest
 from mobilecal_cli.camera import project
 from mobilecal_cli.model import Board
 from mobilecal_cli.simulate.render import BoardRenderer
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.vision import corner_model
 from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
 from mobilecal_cli.vision.values import Appearance, rms
@@ -26,7 +26,7 @@ POSES = [  # squares of 15 to 34 px, upright and turned, frontal and tilted
 @pytest.fixture(scope="module")
 def scenes():
     """Noise-free images and their true corners, (rows, columns, 2)."""
-    camera = paper_robot().rig_cameras.each[0]
+    camera = PAPER_ROBOT.rig_cameras.each[0]
     renderer = BoardRenderer(camera, BOARD, 0.6, np.random.default_rng(0))
     found = []
     for depth, turn in POSES:

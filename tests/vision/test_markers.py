@@ -9,13 +9,13 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Markers, Observation, Station
 from mobilecal_cli.simulate.render import BoardRenderer
-from mobilecal_cli.simulate.robot import paper_robot, pixels
+from mobilecal_cli.simulate.robot import PAPER_ROBOT, pixels
 from mobilecal_cli.simulate.scenario import PRINTED
 from mobilecal_cli.vision import Miss, find_board, readable_words
 from tests.vision.scenes import detected, missed
 from tests.vision.test_observing import observe
 
-ROBOT = paper_robot()
+ROBOT = PAPER_ROBOT
 RIG = ROBOT.rig_cameras
 KINDS = sorted(PRINTED)
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
+from mobilecal_cli.calibrate.detect import snapshot_jpeg
 from mobilecal_cli.model import Board, Markers, Observation, Rejection, Shot, Station
-from mobilecal_cli.vision import Detection, Measured, Miss, agreeing, detect, resolve_square, snapshot_jpeg
+from mobilecal_cli.vision import Detection, Measured, Miss, agreeing, detect, resolve_square
 from mobilecal_cli.vision.grid import turned
 from tests.pairs import measure
 from tests.vision.scenes import bouguet, pose, render, seen, stereo_rig

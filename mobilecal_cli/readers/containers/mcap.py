@@ -108,15 +108,13 @@ class McapStorage(BlockStorage):
         if opcode == Opcode.SCHEMA:
             schema = records.Schema.read(stream)
             self._schemas.setdefault(schema.id, schema)
-        else:
-            self._register(records.Channel.read(stream))
-
-    def _register(self, channel: records.Channel) -> None:
-        if channel.id in self.channels:
             return
-        schema = self._schemas.get(channel.schema_id, _NO_SCHEMA)
-        name, kind = ros2_spelling(schema.name), LANGUAGES.get(schema.encoding, "")
-        self.channels[channel.id] = Channel(channel.topic, name, channel.message_encoding, schema.data, kind)
+        channel = records.Channel.read(stream)
+        if channel.id not in self.channels:
+            schema = self._schemas.get(channel.schema_id, _NO_SCHEMA)
+            name, kind = ros2_spelling(schema.name), LANGUAGES.get(schema.encoding, "")
+            own = Channel(channel.topic, name, channel.message_encoding, schema.data, kind)
+            self.channels[channel.id] = own
 
     def record_at(self, at: int) -> tuple[int | None, Block | None]:
         opcode, body, end = self._head(at)

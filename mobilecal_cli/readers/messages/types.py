@@ -13,7 +13,6 @@ from types import SimpleNamespace
 from typing import Any, Literal, TypeAlias
 
 from rosbags.interfaces import Nodetype
-from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -105,44 +104,21 @@ class MessageType:
     """What the readers know of a message type.
 
     Attributes:
-        core: definition of a type of the ROS core, the same in every ROS 1, and in every ROS 2: a stored one that
-            differs is damaged, and none is used.
         definition: of a type beyond the ROS core, for recordings that store none.
         read_as: ROS type that says the same; "" for the type itself.
         any_package: the same message is in several packages.
         convert: a message → the fields of `read_as` that it lacks or spells differently.
     """
 
-    core: str = ""
     definition: str = ""
     read_as: str = ""
     any_package: bool = False
     convert: Callable[[Decoded], dict[str, Any]] = _header
 
 
-#: Definitions are listed here, because rosbags loads the types of five releases to get them, which takes longer than
-#: all other imports.
 TYPES = {
-    "builtin_interfaces/msg/Time": MessageType("int32 sec\nuint32 nanosec"),
-    "std_msgs/msg/Header": MessageType("builtin_interfaces/Time stamp\nstring frame_id"),
-    STRING: MessageType("string data"),
-    "sensor_msgs/msg/RegionOfInterest": MessageType(
-        "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify"
-    ),
-    CAMERA_INFO: MessageType(
-        "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n"
-        "float64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\nRegionOfInterest roi",
-        convert=_camera_info,
-    ),
-    IMAGES[0]: MessageType(
-        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n"
-        "uint8[] data",
-        convert=_image,
-    ),
-    IMAGES[1]: MessageType("std_msgs/Header header\nstring format\nuint8[] data", convert=_image),
-    JOINT_STATE: MessageType(
-        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort"
-    ),
+    CAMERA_INFO: MessageType(convert=_camera_info),
+    **dict.fromkeys(IMAGES, MessageType(convert=_image)),
     "foxglove/RawImage": MessageType(read_as=IMAGES[0], convert=_image),
     "foxglove/CompressedImage": MessageType(read_as=IMAGES[1], convert=_image),
     "foxglove/CompressedVideo": MessageType(read_as=IMAGES[1], convert=_image),
@@ -158,6 +134,16 @@ TYPES = {
         read_as=JOINT_STATE, any_package=True, convert=_controlled
     ),
 }
+#: Types of the ROS core, the same in every ROS 1, and in every ROS 2: a stored definition that differs is damaged.
+CORE = (
+    "builtin_interfaces/msg/Time",
+    "std_msgs/msg/Header",
+    STRING,
+    "sensor_msgs/msg/RegionOfInterest",
+    CAMERA_INFO,
+    *IMAGES,
+    JOINT_STATE,
+)
 #: Each encoding spells dots and slashes differently.
 _FOXGLOVE = re.compile(r"(?:foxglove(?:_msgs)?\.|foxglove/|foxglove_msgs/msg/)(\w+)")
 
@@ -246,7 +232,7 @@ def _embedded_types(
                 types.update(get_types_from_idl(part.partition("\n")[2]))
         else:
             types = get_types_from_idl(definition)
-        types.update((name, own) for name, own in core_types(encoding).items() if name in types)
+        types.update({name: _default_types(encoding).fielddefs[name] for name in CORE if name in types})
         _check_growth(types)
         store = get_typestore(Stores.EMPTY)
         store.register(types)
@@ -305,20 +291,6 @@ def _check_growth(types: Mapping[str, Any]) -> None:
 
     for name in types:
         size(name)
-
-
-@lru_cache(maxsize=2)
-def core_types(encoding: str) -> Typesdict:
-    """The types of the ROS core that the readers use, by which stored definitions of them are replaced.
-
-    In a ROS 1 camera info, the names d, k, r and p are capital letters, which changes no byte.
-    """
-    headers = {"std_msgs/msg/Header": "uint32 seq\n"} if encoding == "ros1" else {}
-    types: Typesdict = {}
-    for name, row in TYPES.items():
-        if row.core:
-            types.update(get_types_from_msg(headers.get(name, "") + row.core, name))
-    return types
 
 
 @lru_cache(maxsize=2)

@@ -277,21 +277,17 @@ class Clock:
         elif len(self.lag_s) < LAGS:
             self.lag_s.append((log_ns - stamp_ns) * 1e-9)
 
-    def notes(self) -> list[str]:
-        """Sentences on missing and zero stamps."""
-        if not self.unstamped:
-            return []
-        fact = f"{self.unstamped} of {self.messages} header stamps are zero; the log time is used for those"
-        if not self.has_header:
-            fact = "messages have no header stamp; the log time is used"
-        elif self.unstamped == self.messages:
-            fact = f"all {self.messages} header stamps are zero; the log time is used"
-        return [f"{self.topic}: {fact}"]
-
 
 def clock_notes(clocks: Collection[Clock]) -> list[str]:
-    """Notes of all topics, on topics with stamps from different clocks, and on messages that are not used."""
-    notes = [note for clock in clocks for note in clock.notes()]
+    """Notes on missing and zero stamps, on stamps from different clocks, and on messages that are not used."""
+    notes = []
+    for clock in (clock for clock in clocks if clock.unstamped):
+        fact = f"{clock.unstamped} of {clock.messages} header stamps are zero; the log time is used for those"
+        if not clock.has_header:
+            fact = "messages have no header stamp; the log time is used"
+        elif clock.unstamped == clock.messages:
+            fact = f"all {clock.messages} header stamps are zero; the log time is used"
+        notes.append(f"{clock.topic}: {fact}")
     # A topic without stamps uses the log time, so its lag is zero. What is published once may be older.
     lags = {clock.topic: float(np.median(clock.lag_s or [0.0])) for clock in clocks if clock.messages > 1}
     if len(lags) > 1:
@@ -398,6 +394,7 @@ def cut(series: Sequence[Samples]) -> tuple[list[tuple[Samples, ...]], list[str]
     """
     groups = _together(series, [steps_of(samples.stamp_ns, samples.log_ns) for samples in series])
     series, with_log_ns = (series, {}) if groups else _with_log_times(series)
+    first_ns = min((int(samples.log_ns[0]) for samples in series if len(samples)), default=0)
     starts = [[0] for _ in series]
     shifts = [[0] for _ in series]
     notes = []
@@ -420,7 +417,13 @@ def cut(series: Sequence[Samples]) -> tuple[list[tuple[Samples, ...]], list[str]
         for k, (begin, size) in enumerate(zip(begins, sizes, strict=True)):
             starts[k].append(max(begin, starts[k][-1]))
             shifts[k].append(shifts[k][-1] + (0 if alike else size or 0))
-        notes.append(_note(series, int(around_ns[:, 1].min()), sizes))
+        at_s = (int(around_ns[:, 1].min()) - first_ns) * 1e-9
+        names = dict.fromkeys(samples.topic for samples, size in zip(series, sizes, strict=True) if size)
+        largest_s = max((size or 0 for size in sizes), key=abs) * 1e-9
+        notes.append(
+            f"the clock of {', '.join(names)} steps {'back' if largest_s > 0 else 'forward'} by {abs(largest_s):.3f} "
+            f"s, {at_s:.1f} s after the start; the recording is cut there, into separate logs"
+        )
     ends = [[*begins[1:], len(samples)] for begins, samples in zip(starts, series, strict=True)]
     return [
         tuple(s.rows(slice(starts[k][p], ends[k][p]), shifts[k][p]) for k, s in enumerate(series))
@@ -578,16 +581,3 @@ def _sizes(changes: Sequence[int | None], same_ns: int) -> list[int | None]:
         None if step is None else int(np.median([other for other in known if abs(other - step) < same_ns]))
         for step in steps
     ]
-
-
-def _note(series: Sequence[Samples], at_ns: int, sizes: Sequence[int | None]) -> str:
-    at_s = (at_ns - min(int(samples.log_ns[0]) for samples in series if len(samples))) * 1e-9
-    names = ", ".join(
-        dict.fromkeys(samples.topic for samples, size in zip(series, sizes, strict=True) if size)
-    )
-    largest = max((size or 0 for size in sizes), key=abs) * 1e-9
-    way = "back" if largest > 0 else "forward"
-    return (
-        f"the clock of {names} steps {way} by {abs(largest):.3f} s, {at_s:.1f} s after the start; the recording is cut "
-        "there, into separate logs"
-    )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -305,6 +307,159 @@ _REST_S, _MOSTLY, _LEAST_TURN, _SLOWLY_RADPS = 1.0, 0.5, 1e-9, 0.02
 _FEW_RESTS = 3
 
 
+@dataclass(frozen=True, eq=False)
+class Odometry:
+    """Poses of one topic of nav_msgs/Odometry.
+
+    Attributes:
+        topic: the topic, for messages.
+        time_ns: (n,) stamps.
+        pose: (n, 3) x, y (m), heading (rad), which may be wrapped.
+    """
+
+    topic: str
+    time_ns: IntArray
+    pose: FloatArray
+
+    @cached_property
+    def _steps(self) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        """Turn, way ahead and way to the left between consecutive poses, (n - 1,) each, and which of them are jumps.
+
+        Over a pause, only that of a driver that starts again is a jump.
+        """
+        turn = np.remainder(np.diff(self.pose[:, 2]) + math.pi, 2 * math.pi) - math.pi
+        step = np.diff(self.pose[:, :2], axis=0)
+        middle = self.pose[:-1, 2] + turn / 2
+        ahead = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
+        left = step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle)
+        far = (np.hypot(*step.T) > _JUMP_M) | (np.abs(turn) > _JUMP_RAD)
+        return turn, ahead, left, far & ~pauses(self.time_ns) | starts_again(self.time_ns, self.pose)
+
+    def check_forward(self) -> float:
+        """Check that the base moves ahead and turns, as a differential drive does.
+
+        Returns:
+            How far the base frame is ahead of the axle, m; 0 if it is near.
+
+        Raises:
+            RecordingError: it moves sideways; the message says whether its poses jump, or a sign is wrong.
+        """
+        aside_m, path_m, offset_m = self._sideways()
+        if not self._moves_sideways():
+            return offset_m if abs(offset_m) >= _OFFSET_M else 0.0
+        aside_m = np.abs(aside_m)
+        beside_m = np.pad(aside_m, 1)
+        alone = aside_m > _ALONE * np.maximum(beside_m[:-2], beside_m[2:])
+        jumps = np.flatnonzero(alone & (aside_m > _NOT_LEAST * aside_m.max()))
+        if not self._moves_sideways(jumps):
+            first = jumps[0]
+            by_m = math.dist(*self.pose[first : first + 2, :2])
+            at_s = (self.time_ns[first + 1] - self.time_ns[0]) * 1e-9
+            times = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
+            raise RecordingError(
+                f"{self.topic}: the odometry jumps sideways from one message to the next, {times} by {by_m:.2f} m "
+                f"{at_s:.1f} s after the start: it does not follow the wheels alone",
+                "record the odometry of the wheels alone, not one that a filter or a localization corrects, and do not "
+                "reset it during the recording; if another topic has it, set wheels.odometry in rig.yaml",
+            )
+        what = (
+            f"{self.topic}: the odometry moves sideways, by {aside_m.sum():.2f} m beside {path_m:.2f} m ahead"
+        )
+        if not np.ptp(self.pose[:, 2]):
+            raise RecordingError(
+                f"{what}, and its heading never changes",
+                "have its driver publish the heading (pose.pose.orientation), or record wheel joints or counters",
+            )
+        if not replace(self, pose=self.pose * [1, -1, 1])._moves_sideways():
+            raise RecordingError(
+                f"{what}, but not with the sign of y reversed: the y axis of its positions points to the right (or "
+                "the x axis backward, or the heading counts clockwise)",
+                "correct the sign in the driver of the odometry (REP 103: x forward, y to the left, heading "
+                "counterclockwise), and record again",
+            )
+        raise RecordingError(
+            f"{what}: a differential drive cannot",
+            "mecanum and other omnidirectional robots are not supported; name the odometry of the wheels, if this is "
+            "another one",
+        )
+
+    def _sideways(self, jumping: IntArray | slice = slice(0)) -> tuple[FloatArray, float, float]:
+        """Way sideways between consecutive poses, way ahead in all, and how far the base frame is ahead of the axle, m.
+
+        A base frame that is not midway between the wheels also moves sideways, but only where the base turns. Jumps
+        count as no way, and so do pauses, in which the base may have driven any curve, and the steps `jumping`.
+
+        Returns:
+            (n - 1,) positive to the left, and two numbers.
+        """
+        *steps, jumps = self._steps
+        unknown = jumps | pauses(self.time_ns)
+        unknown[jumping] = True
+        turn, ahead, aside = (np.where(unknown, 0.0, values) for values in steps)
+        offset_m = float(aside @ turn) / max(float(turn @ turn), 1e-12)
+        return aside - offset_m * turn, float(np.abs(ahead).sum()), offset_m
+
+    def _moves_sideways(self, jumping: IntArray | slice = slice(0)) -> bool:
+        """Whether the ways sideways in each second add up: rounding changes its sign from one message to the next."""
+        aside_m, path_m, _ = self._sideways(jumping)
+        seconds = (self.time_ns[1:] - self.time_ns[0]) // 10**9
+        in_seconds_m = np.bincount(np.unique(seconds, return_inverse=True)[1], aside_m)
+        return float(np.abs(in_seconds_m).sum()) > max(_ASIDE_M, _ASIDE_SHARE * path_m)
+
+    def turns_at_rest(self) -> list[str]:
+        """A note on a heading that changes while the position does not, to the last bit: it is that of a gyro.
+
+        Wheels that stand still change neither; those that turn the base in place turn it faster.
+        """
+        turn, time_ns = self._steps[0], self.time_ns
+        slow = np.abs(turn) < _SLOWLY_RADPS * np.diff(time_ns) * 1e-9
+        still = slow & np.all(np.diff(self.pose[:, :2], axis=0) == 0, axis=1)
+        ends = np.flatnonzero(np.diff(still, prepend=False, append=False)).reshape(-1, 2)
+        rest_s, turned, rests = 0.0, 0.0, 0
+        for begin, end in ends.tolist():
+            seconds = (time_ns[end] - time_ns[begin]) * 1e-9
+            if seconds >= _REST_S and np.mean(np.abs(turn[begin:end]) > _LEAST_TURN) > _MOSTLY:
+                rest_s, turned, rests = rest_s + seconds, turned + float(turn[begin:end].sum()), rests + 1
+        if rests < _FEW_RESTS:
+            return []
+        return [
+            f"{self.topic}: {TURNS_AT_REST}, by {math.degrees(turned) / rest_s * 60:.2g} degrees per minute"
+        ]
+
+    def check_speed(self) -> None:
+        """Check that the base drives at the speed of a robot.
+
+        Raises:
+            RecordingError: usually, it is much too fast: its positions are in another unit.
+        """
+        step_m = np.hypot(*np.diff(self.pose[:, :2], axis=0).T)
+        drives = step_m > _SMALL
+        speed_mps = step_m[drives] / np.maximum(np.diff(self.time_ns)[drives] * 1e-9, _LEAST_INTERVAL_S)
+        if len(speed_mps) and (usual := float(np.median(speed_mps))) > _FAST_MPS:
+            raise RecordingError(
+                f"{self.topic}: the odometry drives at {usual:.0f} m/s (limit {_FAST_MPS:.0f} m/s): "
+                "its positions are not in meters",
+                "correct the unit in the driver of the odometry (millimeters?), and record again",
+            )
+
+    def rotations(self, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Wheel rotations that move a differential drive along the poses (inverse of the paper's eqs. 8-10).
+
+        Between two poses the base moves along an arc of length chord * h / sin(h), where h is half the turn. It is
+        assumed to do so over a pause, too, which `gap_notes` names.
+
+        Returns:
+            (n,) right and left rotation starting at zero, rad, and (n - 1,) which steps of them are jumps.
+        """
+        turn, chord, _, jumps = self._steps
+        half = turn / 2
+        small = np.abs(half) < _SMALL
+        way = chord * np.where(small, 1.0, half / np.where(small, 1.0, np.sin(half)))
+        ahead = turn * wheels.separation_m / 2
+        right, left = (way + ahead) / wheels.radius_right_m, (way - ahead) / wheels.radius_left_m
+        return np.concatenate([[0.0], np.cumsum(right)]), np.concatenate([[0.0], np.cumsum(left)]), jumps
+
+
 class OdometryWheel(Source):
     """A wheel whose rotation follows from the poses (x, y, heading) of nav_msgs/Odometry.
 
@@ -312,7 +467,7 @@ class OdometryWheel(Source):
         wheels: with which the driver computed its poses, as the source states.
 
     Attributes:
-        ahead_m: see `check_forward`.
+        ahead_m: see `Odometry.check_forward`.
     """
 
     def __init__(self, side: Side, source: WheelSource, wheels: WheelGeometry) -> None:
@@ -326,10 +481,9 @@ class OdometryWheel(Source):
 
     def track(self, samples: Samples, notes: list[str]) -> Track:
         """Rotation of the wheel, rad, starting at zero."""
-        wheels = self._wheels
-        time_ns, pose = samples.ordered(notes)
-        check_speed(samples.topic, time_ns, pose)
-        self.ahead_m = check_forward(samples.topic, time_ns, pose)
+        odometry, wheels = Odometry(samples.topic, *samples.ordered(notes)), self._wheels
+        odometry.check_speed()
+        self.ahead_m = odometry.check_forward()
         if self.ahead_m:
             where = (
                 f"{abs(self.ahead_m) * 1e3:.0f} mm {'ahead of' if self.ahead_m > 0 else 'behind'} the axle"
@@ -337,8 +491,8 @@ class OdometryWheel(Source):
             notes.append(
                 f"{samples.topic}: the base frame of the odometry is {where}, about which the base turns"
             )
-        notes += turns_at_rest(samples.topic, time_ns, pose)
-        right, left, jumps = rotations(time_ns, pose, wheels)
+        notes += odometry.turns_at_rest()
+        right, left, jumps = odometry.rotations(wheels)
         if self._source.assumed:
             notes.append(
                 f"{samples.topic}: the poses of the odometry are used, its covariance is ignored; the result is the "
@@ -351,169 +505,8 @@ class OdometryWheel(Source):
                 f"and a separation of {wheels.separation_m * 1e3:g} mm; if the driver uses other values, the result "
                 "has the same relative error; the covariance of the odometry is ignored"
             )
-        track = Track(time_ns, right if self._side == "right" else left)
+        track = Track(odometry.time_ns, right if self._side == "right" else left)
         return without_jumps(f"{self._side} wheel of the {samples.label}", track, notes, jumps)
-
-
-def check_forward(topic: str, time_ns: IntArray, pose: FloatArray) -> float:
-    """Check that odometry moves ahead and turns, as a differential drive does.
-
-    Args:
-        topic: the topic, for the message.
-        time_ns: (n,) stamps.
-        pose: (n, 3) x, y, heading.
-
-    Returns:
-        How far the base frame is ahead of the axle, m; 0 if it is near.
-
-    Raises:
-        RecordingError: it moves sideways; the message says whether its poses jump, or a sign is wrong.
-    """
-    aside_m, path_m, offset_m = _sideways(time_ns, pose)
-    if _moves_sideways(time_ns, aside_m, path_m):
-        aside_m = np.abs(aside_m)
-        beside_m = np.pad(aside_m, 1)
-        alone = aside_m > _ALONE * np.maximum(beside_m[:-2], beside_m[2:])
-        jumps = np.flatnonzero(alone & (aside_m > _NOT_LEAST * aside_m.max()))
-        if not _moves_sideways(time_ns, *_sideways(time_ns, pose, jumps)[:2]):
-            first = jumps[0]
-            by_m, at_s = math.dist(*pose[first : first + 2, :2]), (time_ns[first + 1] - time_ns[0]) * 1e-9
-            times = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
-            raise RecordingError(
-                f"{topic}: the odometry jumps sideways from one message to the next, {times} by {by_m:.2f} m "
-                f"{at_s:.1f} s after the start: it does not follow the wheels alone",
-                "record the odometry of the wheels alone, not one that a filter or a localization corrects, and do not "
-                "reset it during the recording; if another topic has it, set wheels.odometry in rig.yaml",
-            )
-        what = f"{topic}: the odometry moves sideways, by {aside_m.sum():.2f} m beside {path_m:.2f} m ahead"
-        if not np.ptp(pose[:, 2]):
-            raise RecordingError(
-                f"{what}, and its heading never changes",
-                "have its driver publish the heading (pose.pose.orientation), or record wheel joints or counters",
-            )
-        if not _moves_sideways(time_ns, *_sideways(time_ns, pose * [1, -1, 1])[:2]):
-            raise RecordingError(
-                f"{what}, but not with the sign of y reversed: the y axis of its positions points to the right (or "
-                "the x axis backward, or the heading counts clockwise)",
-                "correct the sign in the driver of the odometry (REP 103: x forward, y to the left, heading "
-                "counterclockwise), and record again",
-            )
-        raise RecordingError(
-            f"{what}: a differential drive cannot",
-            "mecanum and other omnidirectional robots are not supported; name the odometry of the wheels, if this is "
-            "another one",
-        )
-    return offset_m if abs(offset_m) >= _OFFSET_M else 0.0
-
-
-def turns_at_rest(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
-    """A note on odometry whose heading changes while its position does not, to the last bit: it is that of a gyro.
-
-    Wheels that stand still change neither; those that turn the base in place turn it faster.
-
-    Args:
-        topic, time_ns, pose: see `check_forward`.
-    """
-    turn = _steps(time_ns, pose)[0]
-    slow = np.abs(turn) < _SLOWLY_RADPS * np.diff(time_ns) * 1e-9
-    still = slow & np.all(np.diff(pose[:, :2], axis=0) == 0, axis=1)
-    ends = np.flatnonzero(np.diff(still, prepend=False, append=False)).reshape(-1, 2)
-    rest_s, turned, rests = 0.0, 0.0, 0
-    for begin, end in ends.tolist():
-        seconds = (time_ns[end] - time_ns[begin]) * 1e-9
-        if seconds >= _REST_S and np.mean(np.abs(turn[begin:end]) > _LEAST_TURN) > _MOSTLY:
-            rest_s, turned, rests = rest_s + seconds, turned + float(turn[begin:end].sum()), rests + 1
-    if rests < _FEW_RESTS:
-        return []
-    return [f"{topic}: {TURNS_AT_REST}, by {math.degrees(turned) / rest_s * 60:.2g} degrees per minute"]
-
-
-def _sideways(
-    time_ns: IntArray, pose: FloatArray, jumping: IntArray | slice = slice(0)
-) -> tuple[FloatArray, float, float]:
-    """Way sideways between consecutive poses, way ahead in all, and how far the base frame is ahead of the axle, m.
-
-    A base frame that is not midway between the wheels also moves sideways, but only where the base turns. Jumps count
-    as no way, and so do pauses, in which the base may have driven any curve.
-
-    Args:
-        time_ns, pose: see `check_forward`.
-        jumping: further steps that count as jumps.
-
-    Returns:
-        (n - 1,) positive to the left, and two numbers.
-    """
-    *steps, unknown = _steps(time_ns, pose)
-    unknown |= pauses(time_ns)
-    unknown[jumping] = True
-    turn, ahead, aside = (np.where(unknown, 0.0, values) for values in steps)
-    offset_m = float(aside @ turn) / max(float(turn @ turn), 1e-12)
-    return aside - offset_m * turn, float(np.abs(ahead).sum()), offset_m
-
-
-def _moves_sideways(time_ns: IntArray, aside_m: FloatArray, path_m: float) -> bool:
-    """Whether the ways sideways in each second add up: rounding changes its sign from one message to the next."""
-    seconds = (time_ns[1:] - time_ns[0]) // 10**9
-    in_seconds_m = np.bincount(np.unique(seconds, return_inverse=True)[1], aside_m)
-    return float(np.abs(in_seconds_m).sum()) > max(_ASIDE_M, _ASIDE_SHARE * path_m)
-
-
-def check_speed(topic: str, time_ns: IntArray, pose: FloatArray) -> None:
-    """Check that odometry drives at the speed of a robot.
-
-    Args:
-        topic, time_ns, pose: see `check_forward`.
-
-    Raises:
-        RecordingError: usually, it is much too fast: its positions are in another unit.
-    """
-    step_m = np.hypot(*np.diff(pose[:, :2], axis=0).T)
-    drives = step_m > _SMALL
-    speed_mps = step_m[drives] / np.maximum(np.diff(time_ns)[drives] * 1e-9, _LEAST_INTERVAL_S)
-    if len(speed_mps) and (usual := float(np.median(speed_mps))) > _FAST_MPS:
-        raise RecordingError(
-            f"{topic}: the odometry drives at {usual:.0f} m/s (limit {_FAST_MPS:.0f} m/s): "
-            "its positions are not in meters",
-            "correct the unit in the driver of the odometry (millimeters?), and record again",
-        )
-
-
-def _steps(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Turn, way ahead and way to the left between consecutive poses, (n - 1,) each, and which of them are jumps.
-
-    Over a pause, only that of a driver that starts again is a jump.
-    """
-    turn = np.remainder(np.diff(pose[:, 2]) + math.pi, 2 * math.pi) - math.pi
-    step = np.diff(pose[:, :2], axis=0)
-    middle = pose[:-1, 2] + turn / 2
-    ahead = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
-    left = step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle)
-    far = (np.hypot(*step.T) > _JUMP_M) | (np.abs(turn) > _JUMP_RAD)
-    return turn, ahead, left, far & ~pauses(time_ns) | starts_again(time_ns, pose)
-
-
-def rotations(
-    time_ns: IntArray, pose: FloatArray, wheels: WheelGeometry
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Wheel rotations that move a differential drive along poses (inverse of the paper's eqs. 8-10).
-
-    Between two poses the base moves along an arc of length chord * h / sin(h), where h is half the turn. It is
-    assumed to do so over a pause, too, which `gap_notes` names.
-
-    Args:
-        time_ns: (n,) stamps.
-        pose: (n, 3) x, y, heading; the heading may be wrapped.
-
-    Returns:
-        (n,) right and left rotation starting at zero, rad, and (n - 1,) which steps of them are jumps.
-    """
-    turn, chord, _, jumps = _steps(time_ns, pose)
-    half = turn / 2
-    small = np.abs(half) < _SMALL
-    way = chord * np.where(small, 1.0, half / np.where(small, 1.0, np.sin(half)))
-    ahead = turn * wheels.separation_m / 2
-    right, left = (way + ahead) / wheels.radius_right_m, (way - ahead) / wheels.radius_left_m
-    return np.concatenate([[0.0], np.cumsum(right)]), np.concatenate([[0.0], np.cumsum(left)]), jumps
 
 
 def add_wheel(read: Subscriptions, side: Side, source: WheelSource) -> Source:
