@@ -165,34 +165,26 @@ def stations(case: Case, metric: Metric) -> Iterator[Check]:
 def blind_camera(case: Case, metric: Metric) -> Iterator[Check]:
     """A camera that hardly ever shows the board: nothing tests where it is. A stereo pair without one is none.
 
-    A warning for a pair of which one camera shows the board at less than half as many stations as the other, in a
-    recording.
+    A warning for a pair of which one camera shows the board at less than half as many stations as the other.
     """
     cameras, observations = case.extraction.rig.cameras, case.extraction.observations
-    if not any(o.shown for o in observations):
-        return  # measured poses
-    log = np.array([o.log for o in observations])
-    logs, counts = np.unique(log, return_counts=True)
-    shows = np.array([[view.seen.any() for view in o.views] for o in observations])
-    of_logs = np.stack([shows[log == number].sum(axis=0) for number in logs])
-    for k, name in enumerate(cameras.names):
-        have, count, least, where = int(of_logs[:, k].sum()), len(observations), FEWEST_OF_A_CAMERA, ""
+    if case.extraction.measured:
+        return
+    count, shows = len(observations), np.array([[view.seen.any() for view in o.views] for o in observations])
+    for name, have in zip(cameras.names, shows.sum(axis=0).tolist(), strict=True):
+        words, least, effect = camera_words(name), FEWEST_OF_A_CAMERA, "nothing tests its pose"
         outcome: Outcome = "not_enough" if cameras.calibrated else "warning"
-        effect = "nothing tests its pose"
         if cameras.calibrated and have >= least:
-            at = int(np.argmin(of_logs[:, k] / of_logs.max(axis=1)))
-            have, count, least = int(of_logs[at, k]), int(counts[at]), math.ceil(of_logs[at].max() / 2)
-            where = f" of recording {at + 1}" if len(logs) > 1 else ""
-            outcome, effect = "warning", "the others count with one camera alone"
+            least, outcome = math.ceil(shows.sum(axis=0).max() / 2), "warning"
+            effect = "the others count with one camera alone"
         if have >= min(least, count):
             continue
-        words = camera_words(name)
         yield metric.check(
             have, least, f"stations with the board in the {words}'s images",
             f"Check the {words}'s images and record again, or leave the {words} out of cameras in rig.yaml.",
             part=name,
-            measured=f"{have} of {count}{where}",
-            why=f"The {words} shows the board at {have} of {count} stations{where}: {effect}.",
+            measured=f"{have} of {count}",
+            why=f"The {words} shows the board at {have} of {count} stations: {effect}.",
             beyond=outcome,
         )  # fmt: skip
 
@@ -348,13 +340,6 @@ def jump(case: Case, metric: Metric) -> Iterator[Check]:
         images, wheels = change.rejected
         unused = [f"the images of {images} station{'s' * (images > 1)}"] if images else []
         unused += [f"the wheels on {wheels} leg{'s' * (wheels > 1)}"] if wheels else []
-        elsewhere = [
-            outlier
-            for outlier in case.solution.outliers
-            if outlier.kind == "slip"
-            and outlier.log == change.log
-            and change.station not in outlier.observations
-        ]
         rest = f" Around this time, {' and '.join(unused)} do not fit the others, and are not used."
         lost = rest if unused else ""
         station = f"station {names[change.station]} ({at_s:.1f} s)"
@@ -368,9 +353,6 @@ def jump(case: Case, metric: Metric) -> Iterator[Check]:
         if small:
             lost = f" That moves the result by {std_text(change.shift_sigmas)} sigma only."
             then = "Do so before the next recording."
-        if change.part == "board" and elsewhere:
-            legs = f"{len(elsewhere)} other leg{'s' * (len(elsewhere) > 1)}"
-            lost += f" It may have moved on {legs}, too, as outliers show."
         yield metric.check(
             change.shift_sigmas if math.isfinite(change.shift_sigmas) else None, limit,
             "changes inside the recording", f"{cure}. {then}",
@@ -737,32 +719,6 @@ def stereo_error(case: Case, metric: Metric) -> Iterator[Check]:
         f"Calibrate the {'stereo pair' if pair else 'cameras'} again (camera_info), and check that the board is flat.",
         measured=f"{std_text(px)} px ({of})",
         why=f"The {name} is {std_text(px)} px (0.3 px is usual).",
-    )  # fmt: skip
-
-
-@criterion(Metric("stated_priors", section="description"), gated=False)
-def stated_priors(case: Case, metric: Metric) -> Iterator[Check]:
-    """Corner noise over what the images alone show, where rig.yaml states priors: some may keep wrong values.
-
-    Of 260 simulated recordings, its median is 0.96 and the largest but one 2.8; with wrong fixed cameras it is 16. Real
-    boards and lenses may have more: a failure only where the cameras are fixed as stated.
-    """
-    uncertainty, views = case.solution.uncertainty, [v for o in case.extraction.observations for v in o.views]
-    shown = [view.sigma_px for view in views if view.seen.any()]
-    if uncertainty is None or not case.extraction.rig.prior_sigmas or not shown:
-        return
-    px, alone = uncertainty.noise.pixel_px, float(np.median(shown))
-    of_cameras = {each.kind for each in case.solution.constants.values()} & {
-        "focal_length",
-        "principal_point",
-    }
-    yield metric.check(
-        px / alone, 5.0, "corner noise over that of each image alone",
-        "State wider priors in rig.yaml, or leave them out.",
-        measured=f"{std_text(px / alone)} ({std_text(px)} and {std_text(alone)} px)",
-        why=f"With the priors in rig.yaml, the corner noise is {std_text(px)} px, but {std_text(alone)} px in each "
-        "image.",
-        beyond="warning" if of_cameras else "fail",
     )  # fmt: skip
 
 
