@@ -87,7 +87,7 @@ class Scene:
     @cached_property
     def cameras(self) -> CameraRig:
         """As estimated, lens corrections as part of the distortion models."""
-        return improved_cameras(self.extraction.rig, self.robot.constants or {})[0]
+        return improved_cameras(self.extraction.rig, self.robot.constants)[0]
 
     @cached_property
     def names(self) -> Frames:

@@ -173,7 +173,7 @@ def _apart(robot: CalibratedRobot, own: Solution, chain: HeadChain) -> tuple[Flo
     assert uncertainty is not None  # the default method always has one
     found = {constant.name: constant.value for constant in own.constants.values()}
     T_own = camera_in_base(chain, found, own.T_h_reference)
-    T_c_robot = se3.inverse(T_own) @ camera_in_base(chain, robot.constants or {}, robot.T_parent_child)
+    T_c_robot = se3.inverse(T_own) @ camera_in_base(chain, robot.constants, robot.T_parent_child)
     wheels = robot.wheels.vector - own.parameters.wheels.vector
     apart = np.concatenate([se3.log_so3(T_c_robot[:3, :3]), T_c_robot[:3, 3], wheels])
     by_first, by_head, seen = np.zeros((9, 6)), np.eye(9), np.eye(9)

@@ -48,7 +48,7 @@ def export(
         kept = "the effective separation belongs into the controller"
     joints = {} if kept else wheel_joints
     if with_chain:
-        if robot.constants is None:
+        if not robot.constants:
             raise ConfigError(
                 f"{of.params}: the head chain was not estimated",
                 "calibrate extraction.npz again with this version and --method ml, or omit --with-chain",
