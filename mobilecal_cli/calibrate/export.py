@@ -202,7 +202,6 @@ def _scene(
             for log in sorted({o.log for o in extraction.observations})
         },
         residuals=residuals,
-        T_w_c=residuals.T_w_c,
         legs={
             i: k
             for k, (i, j) in enumerate(residuals.legs.tolist())

@@ -168,7 +168,7 @@ def _camera_entity(scene: Scene, station: int, time_ns: int) -> _Part:
     x, y = _FRUSTUM_M * np.array([camera.width / camera.K[0, 0], camera.height / camera.K[1, 1]]) / 2
     rim = np.array([[x, y, _FRUSTUM_M], [-x, y, _FRUSTUM_M], [-x, -y, _FRUSTUM_M], [x, -y, _FRUSTUM_M]])
     segments = [part for k in range(4) for part in (tip, rim[k], rim[k], rim[k - 1])]
-    pose, name = _pose(scene.T_w_c[station]), scene.station_name(station)
+    pose, name = _pose(scene.residuals.T_w_c[station]), scene.station_name(station)
     shown = {"pose": pose, "scale_invariant": True, "color": _color(_BLUE)}
     points = [_vector(point) for point in segments]
     return {
