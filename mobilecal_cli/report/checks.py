@@ -840,11 +840,6 @@ def head_chain(case: Case, metric: Metric) -> Iterator[Check]:
 criterion(_HEIGHT, of_change=True)(noise)
 
 
-def _warning_of(case: Case) -> Outcome:
-    """A warning instead of a failure where the estimate has its own outlier test and estimates the cameras."""
-    return "fail" if case.solution.uncertainty is None else "warning"
-
-
 @criterion(Metric("outliers", "%", section="stations"), of_change=True)
 def outliers(case: Case, metric: Metric) -> Iterator[Check]:
     """Outliers; the limit is the share that a robust estimate tolerates."""
@@ -876,7 +871,7 @@ def leg_outlier(case: Case, *metrics: Metric) -> Iterator[Check]:
     coarse encoders, that is more than an error of one step on both wheels, with a margin for the joints. The error of
     wheels grows with the root of the way: a leg that takes longer than the median leg may have so much more. Where the
     noise levels are estimated, the error is also more than three times what they make of this leg: a turn in front of a
-    far board.
+    far board. Such an estimate has its own test of outliers, and this one only warns.
     """
     least_legs, times, bad, encoder_steps, sigmas = 5, 5.0, 0.01, 1.5, 3.0
     residuals, names = case.solution.residuals, station_names(case.extraction)
@@ -909,7 +904,7 @@ def leg_outlier(case: Case, *metrics: Metric) -> Iterator[Check]:
             why=f"The {kind} error between stations {first} and {second} is {error:.1f} {metric.unit} "
             f"(median {median:.1f} {metric.unit}).",
             passes=error <= times * longer[worst] * median or error <= limit,
-            beyond=_warning_of(case),
+            beyond="fail" if case.solution.uncertainty is None else "warning",
         )  # fmt: skip
 
 
@@ -1016,7 +1011,7 @@ def methods(case: Case, metric: Metric) -> Iterator[Check]:
         measured=f"differ by {text}",
         at_limit="at most {:g} degrees, {:g} mm and {:g} %".format(*limits),
         why=f"The linear and the refined solution differ by {text}.",
-        beyond=_warning_of(case),
+        beyond="fail" if case.solution.uncertainty is None else "warning",
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import FACTORS, NINE, FloatArray
-from mobilecal_cli.model.text import visible
+from mobilecal_cli.model.text import listed, visible
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import PARAMETERS, std_text, value_text
 from mobilecal_cli.report.page import template
@@ -218,7 +218,5 @@ def skipped_text(rows: Sequence[FleetRow]) -> str:
             names.setdefault(row.skipped, []).append(row.name)
     parts = []
     for reason, entries in names.items():
-        more = f", and {len(entries) - _NAMED} more" if len(entries) > _NAMED else ""
-        named = ", ".join(visible(name) for name in entries[:_NAMED])
-        parts.append(f"{reason}: {len(entries)} ({named}{more})")
+        parts.append(f"{reason}: {len(entries)} ({visible(listed(entries, _NAMED))})")
     return f"Skipped, {'; '.join(parts)}." if parts else ""

@@ -43,7 +43,7 @@ def test_odometry_alone_has_multipliers_and_no_wheels():
 
 def test_the_first_five_of_what_is_skipped_are_named():
     done = [FleetRow(f"r{n}", "PASS", 0, "", skipped="already done") for n in range(6)]
-    said = "Skipped, already done: 6 (r0, r1, r2, r3, r4, and 1 more)."
+    said = "Skipped, already done: 6 (r0, r1, r2, r3, r4 and 1 more)."
     assert fleet_text(done).splitlines()[-1] == said
 
 
