@@ -148,7 +148,7 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
 def _in_base(*robots: CalibratedRobot) -> list[FloatArray]:
     """(4, 4) pose of the camera in the base with the corrections of the head chain; in the head without a chain."""
     in_base = [
-        camera_in_base(robot.chain, robot.constants or {}, robot.T_parent_child)
+        camera_in_base(robot.chain, robot.constants, robot.T_parent_child)
         for robot in robots
         if robot.chain is not None
     ]
@@ -162,7 +162,7 @@ def _joints_apart(first: CalibratedRobot, second: CalibratedRobot) -> dict[str, 
     apart = {}
     for row in joint_constants(first.chain):
         if row.name in first.constants_std and row.name in second.constants_std:
-            values = [(robot.constants or {})[row.name] for robot in (first, second)]
+            values = [robot.constants[row.name] for robot in (first, second)]
             std = math.hypot(*(robot.constants_std[row.name] for robot in (first, second)))
             kind = row.of_kind
             apart[row.name] = kind.shown * (values[1] - values[0]), kind.shown * std, kind.shown_unit

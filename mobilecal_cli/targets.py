@@ -7,14 +7,9 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import Literal
 
-
-class Target(StrEnum):
-    """A format of `mobilecal export`: each is a file in export/formats/."""
-
-    _ignore_ = "_module"
-    for _module in iter_modules([str(Path(__file__).parent / "export" / "formats")]):
-        vars()[_module.name] = _module.name
-
+_FORMATS = [module.name for module in iter_modules([str(Path(__file__).parent / "export" / "formats")])]
+#: A format of `mobilecal export`: each is a file in export/formats/.
+Target = StrEnum("Target", _FORMATS)  # type: ignore[misc]
 
 #: A page of `mobilecal board`: automatic (A4 to A0), a standard size, or as large as the board needs.
 Paper = Literal[
@@ -33,14 +28,8 @@ ROBOTS: dict[str, str] = {
 }
 
 
-class Robot(StrEnum):
-    """A robot of `mobilecal simulate`."""
-
-    _ignore_ = "_name"
-    for _name in ROBOTS:
-        vars()[_name] = _name
-
-
+#: A robot of `mobilecal simulate`.
+Robot = StrEnum("Robot", list(ROBOTS))  # type: ignore[misc]
 #: Motions of a simulated robot.
 Motion = Literal[
     "standard", "head_fixed", "pan_only", "straight", "spin", "base_fixed", "large_turns", "moving"

@@ -16,9 +16,9 @@ HEAD_EYE = tuple(
 )
 
 
-def text_of(name, robot):
-    """A calibration in a format that needs nothing else."""
-    return format_of(name)(Source(robot, Path("params.yaml"), None, None)).content.decode()
+def text_of(name, robot, **options):
+    """A calibration in a format that needs no measurements."""
+    return format_of(name)(Source(robot, Path("params.yaml"), None, None), **options).content.decode()
 
 
 def small_uncertainty() -> Uncertainty:

@@ -18,7 +18,7 @@ from typing import Any
 
 from pydantic import BaseModel, Field, ValidationError
 
-from mobilecal_cli import __version__, se3
+from mobilecal_cli import __version__
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.extract import size_bytes
 from mobilecal_cli.calibrate.steps import Report, calibrate
@@ -30,7 +30,6 @@ from mobilecal_cli.files.placing import already_exists
 from mobilecal_cli.files.reading import LARGEST_BYTES, mapping_of, problems_of, read_text
 from mobilecal_cli.readers import looks_recorded, sha256_of
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_html
-from mobilecal_cli.report.numbers import odometry_factors, reference_std
 from mobilecal_cli.rig.config import Beside, load_rig, read_urdf
 
 #: Directory with the records of finished jobs, in the output directory of a batch.
@@ -292,21 +291,17 @@ def fingerprint(job: FleetJob) -> str:
 
 
 def _row(job: FleetJob, report: Report) -> FleetRow:
-    solution, verdict = report.fit.solution, report.verdict
-    T, passed = solution.T_h_reference, verdict.level == "PASS"
-    factors = list(odometry_factors(report.data.extraction.rig, solution).values())[:3]
-    sizes, std = solution.parameters.wheels.vector.tolist(), reference_std(solution)
+    verdict, numbers = report.verdict, report.values.numbers
+    passed = verdict.level == "PASS"
     return FleetRow(
         job.name,
         verdict.level,
         0 if passed else QualityError.exit_code,
         verdict.reason,
         report.values.quality.stations,
-        tuple(se3.log_so3(T[:3, :3]).tolist()),
-        (*T[:3, 3].tolist(), *(() if factors else sizes)),
-        (*std[:6], *(sigma for _, sigma in factors)) if factors else std,
+        {number.name: number.value for number in numbers},
+        {number.name: number.std for number in numbers},
         hint="" if passed else verdict.next_step,
-        factors=tuple(value for value, _ in factors),
     )
 
 

@@ -65,7 +65,7 @@ def evaluate(
     own = _solved(extraction, robot)
     progress("evaluating", 0, None)
     nominal, reference, offsets, cure = extraction.rig.nominal.wheels, None, {}, ""
-    constants = dict(robot.constants or {})
+    constants = dict(robot.constants)
     if isinstance(own, Solution):
         constants |= {c.name: c.value for c in own.constants.values() if c.part == "board"}
         offsets, cure = clock_offsets(own), "; ".join(gap.cure for gap in motion_gaps(extraction))
@@ -93,7 +93,7 @@ def _but_corrected(robot: CalibratedRobot, extraction: Extraction) -> tuple[Cali
     They are differences from what was stated: a URDF or a camera_info that they were applied to must not be corrected
     again.
     """
-    rig, known = extraction.rig, robot.constants or {}
+    rig, known = extraction.rig, robot.constants
     rows = [row for row in table(rig.cameras, rig.chain) if known.get(row.name)]
     others: dict[str, set[str]] = {}
     if robot.cameras_sha256 not in ("", rig.cameras.digest):

@@ -64,8 +64,8 @@ def export(
 ) -> Exported:
     """A calibration in the format of another program, as `mobilecal export --to`.
 
-    A calibration whose verdict is FAIL or NOT ENOUGH is refused. A params.yaml of an earlier version states no verdict:
-    it is exported with a note. Unobservable parameters stay as they are in a URDF, and a controller keeps its own.
+    A calibration whose verdict is FAIL or NOT ENOUGH is refused; one without a verdict is exported with a note.
+    Unobservable parameters stay as they are in a URDF, and a controller keeps its own.
 
     Args:
         params: params.yaml, or a report; camera_info, camchain, the head chain, odometry_covariance and foxglove also
@@ -187,7 +187,7 @@ def _scene(
         ConfigError: a recording is not of this calibration, or report.json cannot be read.
         RecordingError: a recording cannot be read.
     """
-    constants = dict(robot.constants or {})
+    constants = dict(robot.constants)
     parameters = parameters_of(robot, extraction, params)
     outliers, used_legs = _judged(params.with_name("report.json"), report)
     shown = at_constants(extraction, parameters, constants)
@@ -201,7 +201,6 @@ def _scene(
             for log in sorted({o.log for o in extraction.observations})
         },
         residuals=residuals,
-        T_w_c=residuals.T_w_c,
         legs={
             i: k
             for k, (i, j) in enumerate(residuals.legs.tolist())

@@ -170,5 +170,5 @@ def parameters_of(robot: CalibratedRobot, extraction: Extraction, path: Path) ->
             f"{OTHER_ROBOT} {' and '.join(keys)} in rig.yaml",
         )
     rows = table(cameras, extraction.rig.chain)
-    estimated = camera_change(cameras, rows, robot.constants or {}).apply(cameras)
+    estimated = camera_change(cameras, rows, robot.constants).apply(cameras)
     return Parameters(robot.T_parent_child @ se3.inverse(estimated.T_c_reference), robot.wheels)

@@ -47,6 +47,7 @@ def batch(
     from mobilecal_cli.calibrate.batch import SUMMARIES, in_processes, on_cluster
     from mobilecal_cli.calibrate.batch import batch as calibrate_each
     from mobilecal_cli.commands.terminal import progress_bar
+    from mobilecal_cli.model.text import listed
     from mobilecal_cli.report.fleet import failed_text, fleet_json, fleet_text, robots_of
     from mobilecal_cli.report.junit import junit_fleet_xml
     from mobilecal_cli.rig.config import parse_settings
@@ -83,10 +84,9 @@ def batch(
             f"{stopped} of {len(robots)} robots were not calibrated: {worst.name}: {worst.reason}",
             "see the reason, then run the same command again: it calibrates only what is missing",
         )
-    names = ", ".join(row.name for row in failed[:10]) + (", ..." if len(failed) > 10 else "")
     reason = f"{len(robots)} of {len(robots)} robots passed."
     if failed:
-        reason = f"{len(failed)} of {len(robots)} robots did not pass: {names}."
+        reason = f"{len(failed)} of {len(robots)} robots did not pass: {listed(row.name for row in failed)}."
     options.conclude(
         "FAIL" if failed else "PASS",
         reason,

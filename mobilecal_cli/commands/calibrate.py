@@ -64,7 +64,7 @@ def calibrate(
     """
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.commands.terminal import open_page, progress_bar
-    from mobilecal_cli.export.outputs import append_text, check_appendable
+    from mobilecal_cli.export.outputs import append_text, check_output
     from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.report.text import summary_text
     from mobilecal_cli.rig.config import load_rig, parse_settings
@@ -77,7 +77,7 @@ def calibrate(
     outputs = {"--summary": summary, "--output": output}
     with options.junit_file(junit, logs, force, [config, last], outputs) as write_junit:
         if summary is not None:
-            check_appendable(summary, [*logs, config, last])
+            check_output(summary, True, [*logs, config, last])
         flags = parse_settings(setting or [])
         if board is not None:
             flags["board.columns"], flags["board.rows"] = options.counts_of("--board", board)

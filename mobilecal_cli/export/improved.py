@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -140,30 +140,23 @@ def joint_origins(urdf: Urdf, chain: ImprovedChain) -> Iterator[tuple[str, Float
     """
     stated = chain.stated
     moving = [j for j in urdf.path(stated.base_frame, stated.head_frame) if j.kind != "fixed"]
-    links = chain_links(urdf, stated.base_frame, stated.head_frame)
-    _check([joint.name for joint in moving], replace(stated, links=links), stated)
+    drawn = replace(stated, links=chain_links(urdf, stated.base_frame, stated.head_frame))
+    own, known = joint_frames(drawn)[0], joint_frames(stated)[0]
+    # The first transform may differ: the chain starts between the wheels, by its first link, the URDF at its base link.
+    from_base = replace(stated, links=stated.links[1:])
+    unlike = {*unlike_joints(drawn, stated)} & {*unlike_joints(drawn, from_base)}
+    for number, ((link, _), (other, _)) in enumerate(zip(own, known, strict=False)):
+        if number in unlike or (link.multiplier, link.offset) != (other.multiplier, other.offset):
+            raise ConfigError(
+                f"URDF: joint {moving[number].name!r} is not as in the calibrated robot's chain", _HINT
+            )
+    if len(own) != len(known):
+        raise ConfigError(
+            f"URDF: {len(own)} joints from {stated.base_frame!r} to {stated.head_frame!r}, {len(known)} in the "
+            "calibrated robot's chain",
+            _HINT,
+        )
     for joint, (link, _) in zip(moving, joint_frames(chain.improved)[0], strict=True):
         zero = np.array(chain.zeros.get(link.joint, 0.0))
         change = joint_motion(replace(link, offset=0.0), zero)  # the offset is in the URDF's <mimic>
         yield joint.name, joint.T_parent_child @ change, link.axis
-
-
-def _check(names: Sequence[str], drawn: HeadChain, chain: HeadChain) -> None:
-    """Compare the joints of a URDF with those of the chain, and the transforms between them.
-
-    The first transform may differ: the chain starts between the wheels, by its first link, the URDF at its base link.
-    """
-    own, known = joint_frames(drawn)[0], joint_frames(chain)[0]
-    from_base = replace(chain, links=chain.links[1:])
-    unlike = {*unlike_joints(drawn, chain)} & {*unlike_joints(drawn, from_base)}
-    for number, ((link, _), (other, _)) in enumerate(zip(own, known, strict=False)):
-        if number in unlike or (link.multiplier, link.offset) != (other.multiplier, other.offset):
-            raise ConfigError(
-                f"URDF: joint {names[number]!r} is not as in the calibrated robot's chain", _HINT
-            )
-    if len(own) != len(known):
-        raise ConfigError(
-            f"URDF: {len(own)} joints from {chain.base_frame!r} to {chain.head_frame!r}, {len(known)} in the "
-            "calibrated robot's chain",
-            _HINT,
-        )

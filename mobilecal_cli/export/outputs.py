@@ -89,7 +89,7 @@ def check_output(
 
     Args:
         path: the file or directory to create.
-        force: whether an existing output may be replaced.
+        force: whether an existing output may be replaced, or a file appended to.
         inputs: files and directories that the command reads.
         recognize: raises for anything that may not be replaced.
 
@@ -97,30 +97,33 @@ def check_output(
         OutputError: something exists there and may not be replaced, also because it is an input, in one or contains
             one; or the output cannot be created.
     """
-    _check_parent(path)
+    parent = path.parent
+    if str(path) == "-":  # elsewhere it stands for standard output
+        raise OutputError(
+            "-: not a name for this output", "it is not written to standard output: name a file"
+        )
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except (OSError, ValueError) as error:  # a name that is too long, or contains a zero byte
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise OutputError(f"{path}: cannot be created: {reason}", _ANOTHER) from error
+    if not parent.is_dir():
+        raise OutputError(f"{path}: {parent} is not a directory", "create it, or choose another output path")
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{path}: no permission to write in {parent}", _ANOTHER)
     clean_up(path, recognize)
     if os.path.lexists(path):
         recognize(path)
         if not force:
             raise already_exists(path)
-    _check_no_input(path, inputs)
+        real = path.resolve()
+        for given in filter(None, inputs):
+            if real.is_relative_to(given.resolve()) or given.resolve().is_relative_to(real):
+                raise OutputError(f"{path}: this command reads {given}", _ANOTHER)
     if path.is_dir() and not os.access(path, os.W_OK | os.X_OK):
         raise OutputError(f"{path}: no permission to replace it", _ANOTHER)
-
-
-def check_appendable(path: Path, inputs: Iterable[Path | None] = ()) -> None:
-    """Check before the work whether text can be appended to a file.
-
-    Args:
-        inputs: files and directories that the command reads.
-
-    Raises:
-        OutputError: it cannot be created, is not a regular file, or is an input or in one.
-    """
-    _check_parent(path)
-    if os.path.lexists(path):
-        recognized_file(path)
-    _check_no_input(path, inputs)
 
 
 def check_apart(outputs: Mapping[str, Path | None]) -> None:
@@ -142,38 +145,6 @@ def check_apart(outputs: Mapping[str, Path | None]) -> None:
                 f"{name} {path}: inside {other} {other_path}, which is replaced as a whole",
                 "choose a path outside of it",
             )
-
-
-def _check_parent(path: Path) -> None:
-    """Check whether something of this name can be created.
-
-    Raises:
-        OutputError: the name is "-" or too long, or its directory does not exist or cannot be written.
-    """
-    parent = path.parent
-    if str(path) == "-":  # elsewhere it stands for standard output
-        raise OutputError(
-            "-: not a name for this output", "it is not written to standard output: name a file"
-        )
-    try:
-        path.lstat()
-    except (FileNotFoundError, NotADirectoryError):
-        pass
-    except (OSError, ValueError) as error:  # a name that is too long, or contains a zero byte
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise OutputError(f"{path}: cannot be created: {reason}", _ANOTHER) from error
-    if not parent.is_dir():
-        raise OutputError(f"{path}: {parent} is not a directory", "create it, or choose another output path")
-    if not os.access(parent, os.W_OK | os.X_OK):
-        raise OutputError(f"{path}: no permission to write in {parent}", _ANOTHER)
-
-
-def _check_no_input(path: Path, inputs: Iterable[Path | None]) -> None:
-    if os.path.lexists(path):
-        real = path.resolve()
-        for given in filter(None, inputs):
-            if real.is_relative_to(given.resolve()) or given.resolve().is_relative_to(real):
-                raise OutputError(f"{path}: this command reads {given}", _ANOTHER)
 
 
 def write_outputs(outputs: Mapping[Path, bytes | Mapping[str, bytes]], force: bool) -> None:
@@ -249,7 +220,7 @@ def append_text(path: Path, text: str) -> None:
     Raises:
         OutputError: it cannot be written, or is not a regular file; the file is as it was before.
     """
-    check_appendable(path)
+    check_output(path, force=True)
     size = path.stat().st_size if os.path.lexists(path) else None
     try:
         with uninterrupted(), _writing(path), path.open("ab") as stream:

@@ -17,7 +17,6 @@ from pydantic import (
     FiniteFloat,
     Strict,
     ValidationError,
-    field_validator,
     model_validator,
 )
 
@@ -50,7 +49,6 @@ FIRST_LINE = "# Robot calibration by mobilecal."
 #: Section with the sizes of the base → version of a file with it.
 SCHEMA_VERSIONS = {"wheels": 3, "odometry": 4}
 _FACTOR_ORDER = (*NINE[:6], *FACTORS[:3])
-_OLDEST_READ = 1  # no constants; no verdict up to 2
 _SAME_ROTATION_DEG = 0.01
 _SAME_STD = 1e-3
 _ROUNDING = 1e-6  # of the correlations
@@ -267,23 +265,15 @@ class _Verdict(_Section):
 
 
 class _File(_Section):
-    schema_version: int
+    schema_version: Literal[3, 4]
     verdict: _Verdict | None = None
     head_eye: _HeadEye
     head_eye_raw: _HeadEye | None = None
     wheels: _Wheels | None = None
     odometry: _Odometry | None = None
     uncertainty: _Uncertainty | None = None
-    constants: dict[str, _Constant] | None = None
+    constants: dict[str, _Constant] = {}
     provenance: _Provenance = _Provenance()
-
-    @field_validator("schema_version")
-    @classmethod
-    def _known(cls, value: int) -> int:
-        newest = max(SCHEMA_VERSIONS.values())
-        if not _OLDEST_READ <= value <= newest:
-            raise ValueError(f"version {value} is not supported, only {_OLDEST_READ} to {newest}")
-        return value
 
     @model_validator(mode="after")
     def _wheels_or_odometry(self) -> _File:
@@ -334,9 +324,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         checked = _File.model_validate(mapping_of(text, name, _HINT))
     except ValidationError as error:
         raise ConfigError(f"{name}: {problems_of(error)}", _HINT) from error
-    head_eye, verdict, constants = checked.head_eye, checked.verdict, None
-    if checked.constants is not None:
-        constants = {name: entry.value for name, entry in checked.constants.items()}
+    head_eye, verdict = checked.head_eye, checked.verdict
     known = checked.uncertainty
     odometry = None if checked.odometry is None else checked.odometry.assumed
     knowledge = None
@@ -371,8 +359,8 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
             if link.joint is not None and link.joint not in elsewhere
         ),
         rectified=checked.head_eye_raw is not None,
-        constants=constants,
-        constants_std={name: entry.sigma for name, entry in (checked.constants or {}).items()},
+        constants={name: entry.value for name, entry in checked.constants.items()},
+        constants_std={name: entry.sigma for name, entry in checked.constants.items()},
         chain=_chain_of(settings),
         cameras_sha256=checked.provenance.cameras_sha256,
         verdict="" if verdict is None else verdict.level,

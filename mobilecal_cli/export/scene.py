@@ -69,7 +69,6 @@ class Scene:
         extraction: its measurements.
         motions: recording → motion in it.
         residuals: of the calibration.
-        T_w_c: (N, 4, 4) first camera in the world at each observation.
         legs: observation → the leg that predicts its corners, of those that the estimate uses.
         images: observation → camera → JPEG.
         unused: in order of time.
@@ -79,7 +78,6 @@ class Scene:
     extraction: Extraction
     motions: Mapping[int, Motion]
     residuals: Residuals
-    T_w_c: FloatArray
     legs: Mapping[int, int]
     images: Mapping[int, Mapping[str, bytes]]
     unused: tuple[Unused, ...]
@@ -87,7 +85,7 @@ class Scene:
     @cached_property
     def cameras(self) -> CameraRig:
         """As estimated, lens corrections as part of the distortion models."""
-        return improved_cameras(self.extraction.rig, self.robot.constants or {})[0]
+        return improved_cameras(self.extraction.rig, self.robot.constants)[0]
 
     @cached_property
     def names(self) -> Frames:

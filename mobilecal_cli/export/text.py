@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import io
+import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 _DIGITS = 13  # half a unit of the 13th digit is a relative error of at most 5e-13
 _NOTHING = 1e-15  # m, degrees or a unit quaternion's component: below what double precision gives them
 _PLAIN_KEY = re.compile(r"[A-Za-z][A-Za-z0-9_.]*")
-_PLAIN_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _WORDS = frozenset(["y", "n", "yes", "no", "on", "off", "true", "false", "null"])  # YAML 1.1: values
 
 
@@ -56,49 +55,38 @@ def decimals(values: Iterable[float]) -> str:
 
 
 def quoted(text: str) -> str:
-    """A double-quoted scalar on one line, for any text."""
-    return dump(text).removesuffix("\n")
+    """A double-quoted scalar on one line, for any text: YAML has the escapes of `visible`."""
+    return '"{}"'.format(visible(text.replace("\\", "\\\\").replace('"', '\\"')))
+
+
+def key(name: str) -> str:
+    """A key of YAML, quoted where it has to be."""
+    return name if _PLAIN_KEY.fullmatch(name) and name.lower() not in _WORDS else quoted(name)
 
 
 def dump(value: Setting) -> str:
     """Block YAML of plain values; strings are quoted, so none is read as a number or a date."""
-    stream = io.StringIO()
-    _emitter().dump(value, stream)
-    return stream.getvalue()
+    return "\n".join(_lines(value)) + "\n"
 
 
-def _emitter() -> Any:  # noqa: ANN401  (ruamel.yaml's emitter is typed as Any itself)
-    from ruamel.yaml import YAML
-    from ruamel.yaml.representer import SafeRepresenter
+def _lines(value: Setting) -> list[str]:
+    if isinstance(value, str):
+        return [quoted(value)]
+    if isinstance(value, float):
+        return [decimal(value)]
+    if not (isinstance(value, Mapping | Sequence) and value):
+        return [json.dumps(value)]
+    if isinstance(value, Mapping):
+        return [line for name, item in value.items() for line in _entry(name, item)]
+    return [f"{'  ' if k else '- '}{line}" for item in value for k, line in enumerate(_lines(item))]
 
-    class Plain(SafeRepresenter):
-        """Quoted strings, decimals, and no anchors for repeated values."""
 
-        def ignore_aliases(self, data: object) -> bool:
-            return True
-
-    def text(representer: SafeRepresenter, data: str) -> Any:  # noqa: ANN401
-        return representer.represent_scalar("tag:yaml.org,2002:str", data, style='"')
-
-    def number(representer: SafeRepresenter, data: float) -> Any:  # noqa: ANN401
-        return representer.represent_scalar("tag:yaml.org,2002:float", decimal(data))
-
-    def mapping(representer: SafeRepresenter, data: dict[str, Setting]) -> Any:  # noqa: ANN401
-        node = representer.represent_mapping("tag:yaml.org,2002:map", data)
-        for key, _ in node.value:
-            if _PLAIN_KEY.fullmatch(key.value) and key.value.lower() not in _WORDS:
-                key.style = None
-        return node
-
-    Plain.add_representer(str, text)
-    Plain.add_representer(float, number)
-    Plain.add_representer(dict, mapping)
-    yaml = YAML(typ="safe", pure=True)
-    yaml.Representer = Plain
-    yaml.default_flow_style = False
-    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    yaml.width = 1 << 30  # never fold: folded strings are hard to read and to search
-    return yaml
+def _entry(name: str, value: Setting) -> list[str]:
+    lines = _lines(value)
+    if isinstance(value, str) or not (isinstance(value, Mapping | Sequence) and value):
+        return [f"{key(name)}: {lines[0]}"]
+    indent = "  " * isinstance(value, Mapping)
+    return [f"{key(name)}:", *(f"{indent}{line}" for line in lines)]
 
 
 _NOT_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -127,7 +115,7 @@ def comment(text: str) -> str:
 def rendered(template: str, **values: Any) -> str:  # noqa: ANN401  (what the template names)
     """A file from its template in a directory `templates` of this package or of `simulate`.
 
-    The functions of this module are filters; `key` quotes a key of YAML where it has to be.
+    The functions of this module are filters.
     """
     return _templates().get_template(template).render(values)
 
@@ -143,7 +131,6 @@ def _templates() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    filters = (attribute, comment, decimal, decimals, exponential, quoted, visible)
+    filters = (attribute, comment, decimal, decimals, exponential, key, quoted, visible)
     environment.filters |= {each.__name__: each for each in filters}
-    environment.filters["key"] = lambda name: name if _PLAIN_NAME.fullmatch(name) else quoted(name)
     return environment

@@ -139,12 +139,3 @@ def projection_std_px(solution: Solution, cameras: CameraRig, points_c: FloatArr
     by_all = np.concatenate(J, axis=2)
     covariance = by_all @ solution.uncertainty.camera @ by_all.mT
     return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]))
-
-
-def ahead_std_m(solution: Solution, distances_m: FloatArray) -> FloatArray:
-    """1 sigma of the position in the base, (n,), over all directions, of points ahead of the first camera."""
-    assert solution.uncertainty is not None
-    C = solution.uncertainty.camera
-    across = C[0, 0] + C[1, 1]
-    mixed = 2 * (C[1, 3] - C[0, 4])  # a turn about y moves the point along x, one about x against y
-    return np.asarray(np.sqrt(across * distances_m**2 + mixed * distances_m + np.trace(C[3:6, 3:6])))

@@ -89,7 +89,7 @@ class CalibratedRobot(ReadOnly):
         head_joints: names of the head's joints that were read from joint states.
         rectified: whether it was made from rectified images, so that the child is the rectified optical frame.
         constants: estimated constants of the robot description → their difference from the stated value, in rad, m, s
-            or as a share; None if the file does not contain them.
+            or as a share; none of methods that do not estimate them.
         constants_std: their standard deviations, in the same units.
         chain: the head chain as it was stated, without mimic joints' factors; None if the file does not contain it.
         cameras_sha256: `CameraRig.digest` of the cameras as they were stated; "" if the file does not contain it.
@@ -110,7 +110,7 @@ class CalibratedRobot(ReadOnly):
     nominal_wheels: WheelGeometry | None = None
     head_joints: tuple[str, ...] = ()
     rectified: bool = False
-    constants: Mapping[str, float] | None = None
+    constants: Mapping[str, float] = field(default_factory=dict)
     constants_std: Mapping[str, float] = field(default_factory=dict)
     chain: HeadChain | None = None
     cameras_sha256: str = ""

@@ -166,34 +166,26 @@ def stations(case: Case, metric: Metric) -> Iterator[Check]:
 def blind_camera(case: Case, metric: Metric) -> Iterator[Check]:
     """A camera that hardly ever shows the board: nothing tests where it is. A stereo pair without one is none.
 
-    A warning for a pair of which one camera shows the board at less than half as many stations as the other, in a
-    recording.
+    A warning for a pair of which one camera shows the board at less than half as many stations as the other.
     """
     cameras, observations = case.extraction.rig.cameras, case.extraction.observations
-    if not any(o.shown for o in observations):
-        return  # measured poses
-    log = np.array([o.log for o in observations])
-    logs, counts = np.unique(log, return_counts=True)
-    shows = np.array([[view.seen.any() for view in o.views] for o in observations])
-    of_logs = np.stack([shows[log == number].sum(axis=0) for number in logs])
-    for k, name in enumerate(cameras.names):
-        have, count, least, where = int(of_logs[:, k].sum()), len(observations), FEWEST_OF_A_CAMERA, ""
+    if case.extraction.measured:
+        return
+    count, shows = len(observations), np.array([[view.seen.any() for view in o.views] for o in observations])
+    for name, have in zip(cameras.names, shows.sum(axis=0).tolist(), strict=True):
+        words, least, effect = camera_words(name), FEWEST_OF_A_CAMERA, "nothing tests its pose"
         outcome: Outcome = "not_enough" if cameras.calibrated else "warning"
-        effect = "nothing tests its pose"
         if cameras.calibrated and have >= least:
-            at = int(np.argmin(of_logs[:, k] / of_logs.max(axis=1)))
-            have, count, least = int(of_logs[at, k]), int(counts[at]), math.ceil(of_logs[at].max() / 2)
-            where = f" of recording {at + 1}" if len(logs) > 1 else ""
-            outcome, effect = "warning", "the others count with one camera alone"
+            least, outcome = math.ceil(shows.sum(axis=0).max() / 2), "warning"
+            effect = "the others count with one camera alone"
         if have >= min(least, count):
             continue
-        words = camera_words(name)
         yield metric.check(
             have, least, f"stations with the board in the {words}'s images",
             f"Check the {words}'s images and record again, or leave the {words} out of cameras in rig.yaml.",
             part=name,
-            measured=f"{have} of {count}{where}",
-            why=f"The {words} shows the board at {have} of {count} stations{where}: {effect}.",
+            measured=f"{have} of {count}",
+            why=f"The {words} shows the board at {have} of {count} stations: {effect}.",
             beyond=outcome,
         )  # fmt: skip
 
@@ -349,13 +341,6 @@ def jump(case: Case, metric: Metric) -> Iterator[Check]:
         images, wheels = change.rejected
         unused = [f"the images of {images} station{'s' * (images > 1)}"] if images else []
         unused += [f"the wheels on {wheels} leg{'s' * (wheels > 1)}"] if wheels else []
-        elsewhere = [
-            outlier
-            for outlier in case.solution.outliers
-            if outlier.kind == "slip"
-            and outlier.log == change.log
-            and change.station not in outlier.observations
-        ]
         rest = f" Around this time, {' and '.join(unused)} do not fit the others, and are not used."
         lost = rest if unused else ""
         station = f"station {names[change.station]} ({at_s:.1f} s)"
@@ -369,9 +354,6 @@ def jump(case: Case, metric: Metric) -> Iterator[Check]:
         if small:
             lost = f" That moves the result by {std_text(change.shift_sigmas)} sigma only."
             then = "Do so before the next recording."
-        if change.part == "board" and elsewhere:
-            legs = f"{len(elsewhere)} other leg{'s' * (len(elsewhere) > 1)}"
-            lost += f" It may have moved on {legs}, too, as outliers show."
         yield metric.check(
             change.shift_sigmas if math.isfinite(change.shift_sigmas) else None, limit,
             "changes inside the recording", f"{cure}. {then}",
@@ -747,32 +729,6 @@ def stereo_error(case: Case, metric: Metric) -> Iterator[Check]:
     )  # fmt: skip
 
 
-@criterion(Metric("stated_priors", section="description"), gated=False)
-def stated_priors(case: Case, metric: Metric) -> Iterator[Check]:
-    """Corner noise over what the images alone show, where rig.yaml states priors: some may keep wrong values.
-
-    Of 260 simulated recordings, its median is 0.96 and the largest but one 2.8; with wrong fixed cameras it is 16. Real
-    boards and lenses may have more: a failure only where the cameras are fixed as stated.
-    """
-    uncertainty, views = case.solution.uncertainty, [v for o in case.extraction.observations for v in o.views]
-    shown = [view.sigma_px for view in views if view.seen.any()]
-    if uncertainty is None or not case.extraction.rig.prior_sigmas or not shown:
-        return
-    px, alone = uncertainty.noise.pixel_px, float(np.median(shown))
-    of_cameras = {each.kind for each in case.solution.constants.values()} & {
-        "focal_length",
-        "principal_point",
-    }
-    yield metric.check(
-        px / alone, 5.0, "corner noise over that of each image alone",
-        "State wider priors in rig.yaml, or leave them out.",
-        measured=f"{std_text(px / alone)} ({std_text(px)} and {std_text(alone)} px)",
-        why=f"With the priors in rig.yaml, the corner noise is {std_text(px)} px, but {std_text(alone)} px in each "
-        "image.",
-        beyond="warning" if of_cameras else "fail",
-    )  # fmt: skip
-
-
 @criterion(Metric("square_size", "%", section="description"))
 def square_size(case: Case, metric: Metric) -> Iterator[Check]:
     """Stated square size against the stereo baseline, for methods that do not estimate both."""
@@ -891,11 +847,6 @@ def head_chain(case: Case, metric: Metric) -> Iterator[Check]:
 criterion(_HEIGHT, of_change=True)(noise)
 
 
-def _warning_of(case: Case) -> Outcome:
-    """A warning instead of a failure where the estimate has its own outlier test and estimates the cameras."""
-    return "fail" if case.solution.uncertainty is None else "warning"
-
-
 @criterion(Metric("outliers", "%", section="stations"), of_change=True)
 def outliers(case: Case, metric: Metric) -> Iterator[Check]:
     """Outliers; the limit is the share that a robust estimate tolerates."""
@@ -927,7 +878,7 @@ def leg_outlier(case: Case, *metrics: Metric) -> Iterator[Check]:
     coarse encoders, that is more than an error of one step on both wheels, with a margin for the joints. The error of
     wheels grows with the root of the way: a leg that takes longer than the median leg may have so much more. Where the
     noise levels are estimated, the error is also more than three times what they make of this leg: a turn in front of a
-    far board.
+    far board. Such an estimate has its own test of outliers, and this one only warns.
     """
     least_legs, times, bad, encoder_steps, sigmas = 5, 5.0, 0.01, 1.5, 3.0
     residuals, names = case.solution.residuals, station_names(case.extraction)
@@ -960,7 +911,7 @@ def leg_outlier(case: Case, *metrics: Metric) -> Iterator[Check]:
             why=f"The {kind} error between stations {first} and {second} is {error:.1f} {metric.unit} "
             f"(median {median:.1f} {metric.unit}).",
             passes=error <= times * longer[worst] * median or error <= limit,
-            beyond=_warning_of(case),
+            beyond="fail" if case.solution.uncertainty is None else "warning",
         )  # fmt: skip
 
 
@@ -1067,7 +1018,7 @@ def methods(case: Case, metric: Metric) -> Iterator[Check]:
         measured=f"differ by {text}",
         at_limit="at most {:g} degrees, {:g} mm and {:g} %".format(*limits),
         why=f"The linear and the refined solution differ by {text}.",
-        beyond=_warning_of(case),
+        beyond="fail" if case.solution.uncertainty is None else "warning",
     )  # fmt: skip
 
 

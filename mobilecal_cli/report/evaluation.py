@@ -105,10 +105,7 @@ def judge_evaluation(
         f"stations with the board in {extraction.rig.cameras.images_words}",
         "Record at least ten stations.",
     )
-    if isinstance(own, MobilecalError):
-        agreement = _unsolved(own)
-    else:
-        agreement = _agreement(robot, own, extraction.rig.chain, cure)
+    agreement = _agreement(robot, own, extraction.rig.chain, cure)
     checks = (enough_stations, _corner_error(evaluation, extraction, own), *agreement, *gates)
     for outcome in ("fail", "not_enough"):
         decisive = next((check for check in checks if check.outcome == outcome), None)
@@ -151,18 +148,6 @@ def _corner_error(evaluation: Evaluation, extraction: Extraction, own: Solution 
     )  # fmt: skip
 
 
-def _unsolved(error: MobilecalError) -> Iterator[Check]:
-    """That the recording has no estimate of its own."""
-    yield Metric("own_estimate").check(
-        None, None, "estimate from this recording",
-        f"{capitalized(error.hint)}." if error.hint else "Record again.",
-        measured="none",
-        at_limit="all nine parameters",
-        why=f"This recording cannot be solved by itself: {error.message}.",
-        beyond="not_enough",
-    )  # fmt: skip
-
-
 def _apart(robot: CalibratedRobot, own: Solution, chain: HeadChain) -> tuple[FloatArray, FloatArray]:
     """(9,) a calibration less a recording's own estimate, and its covariance (9, 9): rad, m.
 
@@ -173,7 +158,7 @@ def _apart(robot: CalibratedRobot, own: Solution, chain: HeadChain) -> tuple[Flo
     assert uncertainty is not None  # the default method always has one
     found = {constant.name: constant.value for constant in own.constants.values()}
     T_own = camera_in_base(chain, found, own.T_h_reference)
-    T_c_robot = se3.inverse(T_own) @ camera_in_base(chain, robot.constants or {}, robot.T_parent_child)
+    T_c_robot = se3.inverse(T_own) @ camera_in_base(chain, robot.constants, robot.T_parent_child)
     wheels = robot.wheels.vector - own.parameters.wheels.vector
     apart = np.concatenate([se3.log_so3(T_c_robot[:3, :3]), T_c_robot[:3, 3], wheels])
     by_first, by_head, seen = np.zeros((9, 6)), np.eye(9), np.eye(9)
@@ -190,8 +175,22 @@ def _apart(robot: CalibratedRobot, own: Solution, chain: HeadChain) -> tuple[Flo
     return seen @ apart, seen @ covariance @ seen
 
 
-def _agreement(robot: CalibratedRobot, own: Solution, chain: HeadChain, missing: str) -> Iterator[Check]:
-    """Whether each quantity is that of the recording's own estimate; without those that no motion shows."""
+def _agreement(
+    robot: CalibratedRobot, own: Solution | MobilecalError, chain: HeadChain, missing: str
+) -> Iterator[Check]:
+    """Whether each quantity is that of the recording's own estimate, if it has one; without those that no motion
+    shows.
+    """
+    if isinstance(own, MobilecalError):
+        yield Metric("own_estimate").check(
+            None, None, "estimate from this recording",
+            f"{capitalized(own.hint)}." if own.hint else "Record again.",
+            measured="none",
+            at_limit="all nine parameters",
+            why=f"This recording cannot be solved by itself: {own.message}.",
+            beyond="not_enough",
+        )  # fmt: skip
+        return
     uncertainty = own.uncertainty
     assert uncertainty is not None  # the default method always has one
     change, covariance = _apart(robot, own, chain)

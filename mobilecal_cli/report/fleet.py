@@ -5,14 +5,14 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import FACTORS, FloatArray
-from mobilecal_cli.model.text import visible
+from mobilecal_cli.model import FACTORS, NINE, FloatArray
+from mobilecal_cli.model.text import listed, visible
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import PARAMETERS, std_text, value_text
 from mobilecal_cli.report.page import template
@@ -34,14 +34,11 @@ class FleetRow:
         exit_code: exit code of `mobilecal calibrate`.
         reason: one sentence.
         stations: number of stations used.
-        rotvec_rad: rotation vector of the reference camera in the head frame, (3,); empty without a result.
-        lengths_m: its position, then radius_right, radius_left, separation, (6,); of odometry alone only the position;
-            empty without a result.
-        std: nine standard deviations, rad, m and of multipliers, None where unknown; empty without a result.
+        values, stds: name → value and standard deviation of each number of the result, see `NumberData`; a standard
+            deviation is None where it is unknown. Empty without a result.
         skipped: why the robot was not calibrated in this run; empty if it was.
         hint: what to do next, if it did not pass.
         seconds: how long it took, s.
-        factors: multipliers of odometry alone in the order of the wheels, (3,); empty for wheels.
     """
 
     name: str
@@ -49,13 +46,11 @@ class FleetRow:
     exit_code: int
     reason: str
     stations: int = 0
-    rotvec_rad: tuple[float, ...] = ()
-    lengths_m: tuple[float, ...] = ()
-    std: tuple[float | None, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+    stds: Mapping[str, float | None] = field(default_factory=dict)
     skipped: str = ""
     hint: str = ""
     seconds: float = 0.0
-    factors: tuple[float, ...] = ()
 
 
 def robots_of(rows: Sequence[FleetRow]) -> list[FleetRow]:
@@ -66,7 +61,7 @@ def robots_of(rows: Sequence[FleetRow]) -> list[FleetRow]:
 def _heads(rows: Sequence[FleetRow]) -> list[tuple[str, str, float]]:
     """Name of each number, its unit for people, and how many of it one rad or m is; also of multipliers."""
     heads = [(parameter.name, parameter.shown_unit, parameter.factor) for parameter in PARAMETERS]
-    return heads + [(name, "", 1.0) for name in FACTORS[:3] if any(row.factors for row in rows)]
+    return heads + [(name, "", 1.0) for name in FACTORS[:3] if any(name in row.values for row in rows)]
 
 
 def fleet_numbers(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
@@ -74,15 +69,12 @@ def fleet_numbers(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
 
     Rotations are those of the camera in the head, as rotation vectors.
     """
-    units = np.array([unit for _, _, unit in _heads(rows)])
-    numbers, std = np.full((2, len(rows), len(units)), np.nan)
-    for i, row in enumerate(rows):
-        columns = [*range(6), *(range(9, 12) if row.factors else range(6, 9))]
-        if row.lengths_m:
-            numbers[i, columns] = [*row.rotvec_rad, *row.lengths_m, *row.factors]
-        if row.std:
-            std[i, columns] = [np.nan if s is None else s for s in row.std]
-    return numbers * units, std * units
+    names, _, factors = zip(*_heads(rows), strict=True)
+    numbers, std = (
+        np.array([[of.get(name) for name in names] for of in columns], dtype=np.float64) * factors
+        for columns in ([row.values for row in rows], [row.stds for row in rows])
+    )
+    return numbers, std
 
 
 def compared(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
@@ -91,7 +83,11 @@ def compared(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
     Rotation vectors of half a turn may have opposite signs and mean nearly the same.
     """
     numbers, std = fleet_numbers(rows)
-    R_each = {k: se3.exp_so3(np.array(row.rotvec_rad)) for k, row in enumerate(rows) if row.lengths_m}
+    R_each = {
+        k: se3.exp_so3(np.array([row.values[name] for name in NINE[:3]]))
+        for k, row in enumerate(rows)
+        if row.values
+    }
     first = next((k for k in R_each if rows[k].verdict == "PASS"), next(iter(R_each), None))
     for k, R in R_each.items():
         assert first is not None
@@ -222,7 +218,5 @@ def skipped_text(rows: Sequence[FleetRow]) -> str:
             names.setdefault(row.skipped, []).append(row.name)
     parts = []
     for reason, entries in names.items():
-        more = f", and {len(entries) - _NAMED} more" if len(entries) > _NAMED else ""
-        named = ", ".join(visible(name) for name in entries[:_NAMED])
-        parts.append(f"{reason}: {len(entries)} ({named}{more})")
+        parts.append(f"{reason}: {len(entries)} ({visible(listed(entries, _NAMED))})")
     return f"Skipped, {'; '.join(parts)}." if parts else ""

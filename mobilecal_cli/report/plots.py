@@ -15,7 +15,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.kinematics import cut_at, integrate
-from mobilecal_cli.likelihood.predict import AHEAD_M, ahead_std_m, projection_std_px
+from mobilecal_cli.likelihood.predict import AHEAD_M, projection_std_px
 from mobilecal_cli.model import (
     NINE,
     Corners,
@@ -100,8 +100,6 @@ SHOWN_LEGS = 3  # of which the page shows the images; those of others on request
 _MOST_VIEW_BYTES = 400_000  # of the images of legs, so that the page stays under 1 MB
 _VIEW_WIDTH_PX = 480  # wider regions are scaled down; the marks are vectors and stay sharp
 _VIEW_MARGIN = 0.3  # around the board, as a share of its size in the image
-_FARTHEST_M = 5.0  # most heads look at things that are nearer
-_MOST_LABELS = 40  # more labels than this are not readable
 _MOST_OUTLINES = 150  # of boards in one image, so that the page stays small
 _VISIBLE_M = 0.01  # in a picture of a drive: a pixel
 _TRAIL_POINTS = 400  # of a path: more are finer than a pixel
@@ -194,8 +192,6 @@ def head_angles(_: Solution, extraction: Extraction) -> Iterator[Drawn]:
     names = station_names(extraction)
     for i, (name, x, y) in enumerate(zip(names, pan, other, strict=True)):
         axes.dot(float(x), float(y), "blue", [i], f"station {name}: {x:.1f}, {y:.1f} deg", r=4)
-    if len(observations) <= _MOST_LABELS:
-        canvas.labels(axes.at(np.column_stack([pan, other])), names)
     spans = zip(labels, (pan, other), strict=False)
     ranges = (f"{label.partition(' [')[0]} {np.ptp(angles):.0f}°" for label, angles in spans)
     yield Drawn(canvas.svg, f"Range: {', '.join(ranges)}.")
@@ -218,32 +214,9 @@ def image_axes(extraction: Extraction, k: int, title: str) -> tuple[Canvas, Axes
     return canvas, axes
 
 
-def _panel(
-    canvas: Canvas,
-    row: int,
-    title: str,
-    values: Sequence[float],
-    names: Sequence[str],
-    stations: Sequence[Sequence[int]],
-    levels: Sequence[tuple[str, str, float]],
-    x_label: str,
-) -> None:
-    """One value for each name as a bar from zero, with levels (style, label, value), in a row of the canvas."""
-    top, unit = 216.0 * row, title.partition("[")[2].strip("]")
-    y = Scale.of([*values, *(value for _, _, value in levels)], zero=True)
-    axes = Axes.of(canvas, Scale(-0.6, len(names) - 0.4), y, title, (0.0, top, WIDE, top + 210.0))
-    axes.grid(x=False)
-    for k, (name, value, linked) in enumerate(zip(names, values, stations, strict=True)):
-        axes.bar(k, value, "blue", linked, f"{name}: {value:.3g} {unit}")
-    for style, _, value in levels:
-        axes.level(value, style)
-    canvas.legend([(f"line {style}", label) for style, label, _ in levels], 300.0, top + 16.0)
-    axes.names(names, x_label)
-
-
 @plot("stations")
 def leg_residuals(solution: Solution, extraction: Extraction) -> Iterator[Drawn]:
-    """Point error and reprojection error of each leg."""
+    """Point error and reprojection error of each leg as bars, with those of all legs as lines."""
     residuals, names = solution.residuals, station_names(extraction)
     if not len(residuals.legs):
         return
@@ -251,36 +224,27 @@ def leg_residuals(solution: Solution, extraction: Extraction) -> Iterator[Drawn]
     legs, errors_px = [f"{names[i]}–{names[j]}" for i, j in ends], residuals.leg_reprojection_px
     canvas = Canvas(WIDE, 430.0, "point error and reprojection error of each leg")
     noise = "noise of the poses alone" if extraction.measured else "depth noise alone"
-    levels = [
-        ("ink thin", "all legs", solution.point_rms_m * 1e3),
-        ("orange dash", noise, residuals.corner_noise_m * 1e3),
-    ]
-    _panel(canvas, 0, "point error [mm]", (residuals.leg_point_rms_m * 1e3).tolist(), legs, ends, levels, "")
-    levels, label = [("ink thin", "all legs", solution.reprojection_rms_px)], "leg (from station–to station)"
-    _panel(canvas, 1, "reprojection error [px]", errors_px.tolist(), legs, ends, levels, label)
+    of_points = [("ink thin", "all legs", solution.point_rms_m * 1e3)]
+    of_points.append(("orange dash", noise, residuals.corner_noise_m * 1e3))
+    of_pixels = [("ink thin", "all legs", solution.reprojection_rms_px)]
+    for top, title, unit, errors, levels, x_label in (
+        (0.0, "point error", "mm", residuals.leg_point_rms_m * 1e3, of_points, ""),
+        (216.0, "reprojection error", "px", errors_px, of_pixels, "leg (from station–to station)"),
+    ):
+        values = errors.tolist()
+        y = Scale.of([*values, *(value for _, _, value in levels)], zero=True)
+        box = (0.0, top, WIDE, top + 210.0)
+        axes = Axes.of(canvas, Scale(-0.6, len(legs) - 0.4), y, f"{title} [{unit}]", box)
+        axes.grid(x=False)
+        for k, (leg, value, stations) in enumerate(zip(legs, values, ends, strict=True)):
+            axes.bar(k, value, "blue", stations, f"{leg}: {value:.3g} {unit}")
+        for style, _, value in levels:
+            axes.level(value, style)
+        canvas.legend([(f"line {style}", label) for style, label, _ in levels], 300.0, top + 16.0)
+        axes.names(legs, x_label)
     worst, median = int(np.argmax(errors_px)), float(np.median(errors_px))
     times = float(errors_px[worst]) / median if median else 1.0
     yield Drawn(canvas.svg, f"Largest: leg {legs[worst]}, {times:.1f} times the median reprojection error.")
-
-
-@plot("description")
-def station_residuals(_: Solution, extraction: Extraction) -> Iterator[Drawn]:
-    """Residual of the flat board in the images at each station; in words, the square size that a pair measures."""
-    if extraction.measured:
-        return
-    errors_px = [o.reprojection_px for o in extraction.observations]
-    names, every = station_names(extraction), [[i] for i in range(len(errors_px))]
-    canvas, title = Canvas(WIDE, 210.0, "residual at each station"), "residual of the flat board [px]"
-    _panel(canvas, 0, title, errors_px, names, every, [], "station")
-    sizes_mm, stated = (
-        [o.square_m * 1e3 for o in extraction.observations if o.several],
-        extraction.board.square_m,
-    )
-    sizes = ""
-    if extraction.rig.cameras.calibrated and sizes_mm:
-        sizes = f"; the squares measure {min(sizes_mm):.2f} to {max(sizes_mm):.2f} mm"
-        sizes += "" if stated is None else f" (stated: {stated * 1e3:.2f} mm)"
-    yield Drawn(canvas.svg, f"Median residual {std_text(float(np.median(errors_px)))} px{sizes}.")
 
 
 @plot("description", half=True)
@@ -346,23 +310,6 @@ def projection_map(solution: Solution, extraction: Extraction) -> Iterator[Drawn
         canvas.text(x, y + 4, std_text(sigma), anchor="middle")
     extent = f"{std_text(min(std))} to {std_text(max(std))}"
     yield Drawn(canvas.svg, f"Pixel of a point {AHEAD_M:g} m ahead, 1 sigma in px: {extent}.")
-
-
-@plot("limits", half=True)
-def error_over_distance(solution: Solution, _: Extraction) -> Iterator[Drawn]:
-    """1 sigma of the position in the base of points ahead of the first camera, over their distance."""
-    if solution.uncertainty is None:
-        return
-    distances = np.linspace(0.0, _FARTHEST_M, 41)
-    std_mm = ahead_std_m(solution, distances) * 1e3
-    canvas = Canvas(HALF, 0.85 * HALF, "1 sigma of the position of a point in the base over its distance")
-    axes = Axes.of(canvas, Scale(0.0, _FARTHEST_M), Scale.of(std_mm, zero=True), "position in the base [mm]")
-    axes.grid("distance from the camera [m]")
-    axes.line(np.column_stack([distances, std_mm]), "blue")
-    at_mm = float(ahead_std_m(solution, np.array([AHEAD_M]))[0]) * 1e3
-    axes.dot(AHEAD_M, at_mm, "blue", tip=f"{AHEAD_M:g} m: {at_mm:.2g} mm")
-    ends = f"{std_text(at_mm)} mm at {AHEAD_M:g} m, {std_text(std_mm[-1])} mm at {_FARTHEST_M:g} m"
-    yield Drawn(canvas.svg, f"Position of a point ahead, 1 sigma: {ends}.")
 
 
 def _stack(

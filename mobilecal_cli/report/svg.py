@@ -91,24 +91,6 @@ class Canvas:
             f"{escape(visible(text))}</text>"
         )
 
-    def labels(self, points: FloatArray, names: Sequence[str]) -> None:
-        """Small labels beside dots at points, (n, 2): each on the first side where it covers no dot and no label.
-
-        Where each side is covered, it has none.
-        """
-        taken = [(x - 4, y - 4, x + 4, y + 4) for x, y in points.tolist()]
-        for (x, y), name in zip(points.tolist(), names, strict=True):
-            wide = _CHARACTER * len(visible(name))
-            for dx, dy, anchor in ((0, 16, "middle"), (0, -7, "middle"), (7, 4, "start"), (-7, 4, "end")):
-                left = x + dx - {"start": 0.0, "middle": wide / 2, "end": wide}[anchor]
-                box = (left, y + dy - 10, left + wide, y + dy + 2)
-                if not any(
-                    box[0] < b[2] and b[0] < box[2] and box[1] < b[3] and b[1] < box[3] for b in taken
-                ):
-                    taken.append(box)
-                    self.text(x + dx, y + dy, name, anchor=anchor)
-                    break
-
     def shape(
         self, tag: str, kind: str, stations: Sequence[int] = (), tip: str = "", **attributes: float | str
     ) -> None:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from datetime import UTC, datetime, timedelta
 from typing import TypeAlias
 
 import numpy as np
 
 from mobilecal_cli.likelihood.constants import kind_of
-from mobilecal_cli.model import NINE, SIDES, HeadChain
+from mobilecal_cli.model import NINE, SIDES
 from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.evaluation import EvaluationData, evaluation_tables
 from mobilecal_cli.report.formats import Table, like
@@ -92,6 +91,7 @@ def noise(case: Case) -> Iterator[Table]:
     if case.solution.uncertainty is None:
         return
     levels, given = case.solution.uncertainty.noise, case.extraction.rig.noise
+    chain = case.extraction.rig.chain
     moving = not all(o.at_rest for o in case.extraction.observations)
     seen_moving = {*levels.estimated, *(given if moving else ())}
     rows = []
@@ -104,7 +104,7 @@ def noise(case: Case) -> Iterator[Table]:
             continue
         if level == "encoder_rad" and not std:
             continue
-        if level == "joint_rad" and not case.extraction.rig.chain.joints:
+        if level == "joint_rad" and not chain.joints:
             continue
         if level == ("pixel_px" if case.extraction.measured else "pose_scale"):
             continue
@@ -112,19 +112,11 @@ def noise(case: Case) -> Iterator[Table]:
             source = "estimated"
         elif level == "encoder_rad":
             source = "from the encoder step"
-        kinds = [("", factor, unit)] if level != "joint_rad" else _joint_kinds(case.extraction.rig.chain)
-        rows += [(f"{meaning}{kind}", std_text(std * f), shown, source) for kind, f, shown in kinds]
+        if level == "joint_rad" and len(chain.prismatic) == len(chain.joints):
+            factor, unit = 1e3 * chain.joint_units[0], "mm"
+        rows.append((meaning, std_text(std * factor), unit, source))
     heads = ("measurement", "number:1 sigma", "unit", "source")
     yield Table.of(heads, rows, "limits", "Measurement noise")
-
-
-def _joint_kinds(chain: HeadChain) -> list[tuple[str, float, str]]:
-    """Kinds of joints of a head: (suffix of the label, factor from units of joint noise, unit for people)."""
-    units = dict(zip(chain.joints, chain.joint_units, strict=True))
-    both = 0 < len(chain.prismatic) < len(units)
-    revolute, prismatic = (", revolute", ", prismatic") if both else ("", "")
-    kinds = [(revolute, DEG, "deg")] if len(chain.prismatic) < len(units) else []
-    return kinds + [(prismatic, 1e3 * units[name], "mm") for name in sorted(chain.prismatic)[:1]]
 
 
 @table
@@ -202,7 +194,7 @@ def each_rejected(case: Case) -> Iterator[Table]:
     extraction, items = case.extraction, case.extraction.rejections
     rows = [
         (
-            _moment(item.time_ns),
+            np.datetime_as_string(np.datetime64(item.time_ns, "ns"), unit="ms").replace("T", " "),
             "–" if item.station < 0 else extraction.station_name(item.log, item.station),
             item.reason,
             item.detail,
@@ -212,14 +204,6 @@ def each_rejected(case: Case) -> Iterator[Table]:
     more = len(items) - _MOST_REJECTIONS
     rows += [("", "", f"report.json lists {more} more.", "")] if more > 0 else []
     yield Table.of(("time (UTC)", "station", "reason", "details"), rows, "stations", "Not used")
-
-
-def _moment(time_ns: int) -> str:
-    """A recording's time as a UTC date, or in seconds if it is not a valid date."""
-    if 0 < time_ns < 253_402_300_800_000_000_000:
-        moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=time_ns // 1000)
-        return moment.strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
-    return f"{time_ns / 1e9:.3f} s"
 
 
 @table

@@ -34,6 +34,7 @@ from tests.command import python, run
 from tests.commands.dask_cluster import local_cluster
 from tests.commands.dying import die_or_answer
 from tests.extractions import Noise, simulated
+from tests.report.example import fleet_row
 from tests.report.schema import validated
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)
@@ -222,20 +223,18 @@ def test_a_process_that_dies_while_jobs_are_submitted(monkeypatch):
 
 def row(number, **changes):
     rng = np.random.default_rng(number)
-    rotvec = tuple((np.array([0.1, -1.5, 0.3]) + 1e-3 * rng.normal(size=3)).tolist())
+    turn = np.array([0.1, -1.5, 0.3]) + 1e-3 * rng.normal(size=3)
     lengths = np.array([0.01, -0.06, 0.07, 0.22, 0.22, 0.5]) + 1e-4 * rng.normal(size=6)
-    return FleetRow(
-        f"r{number:02}", "PASS", 0, "fine", 12, rotvec, tuple(lengths.tolist()), (1e-4,) * 9, **changes
-    )
+    return fleet_row(f"r{number:02}", reason="fine", turn=turn, lengths=lengths, std=1e-4, **changes)
 
 
 def test_a_robot_that_stands_out():
     rows = [row(n) for n in range(12)]
     assert standing_out(rows) == {}
-    lengths = np.add(rows[4].lengths_m, [0, 0, 0, 0, 0, 0.01])
-    turned = se3.log_so3(se3.exp_so3(np.array([0, 0, 0.05])) @ se3.exp_so3(np.array(rows[7].rotvec_rad)))
-    rows[4] = replace(rows[4], lengths_m=tuple(lengths.tolist()))
-    rows[7] = replace(rows[7], rotvec_rad=tuple(turned.tolist()))
+    rows[4].values["separation"] += 0.01
+    axes = ("r_x", "r_y", "r_z")
+    R = se3.exp_so3(np.array([rows[7].values[axis] for axis in axes]))
+    rows[7].values.update(zip(axes, se3.log_so3(se3.exp_so3(np.array([0, 0, 0.05])) @ R), strict=True))
     assert standing_out(rows) == {"r04": ("separation",), "r07": ("r_z",)}
     assert "separation" in fleet_csv(rows).splitlines()[5]
     assert standing_out(rows[2:6]) == {}  # too few to say

@@ -115,7 +115,7 @@ def test_the_format_does_not_use_it(tmp_path, option, target):
 
 
 PARAMS = """\
-schema_version: 2
+schema_version: 3
 head_eye: {parent_frame: head, child_frame: camera, translation_m: [0.0, 0.0, 0.0], quaternion_xyzw: [0, 0, 0, 1]}
 wheels: {radius_left_m: 0.1, radius_right_m: 0.1, separation_m: 0.4}
 """

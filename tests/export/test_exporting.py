@@ -18,7 +18,6 @@ from mobilecal_cli.calibrate.steps import Data
 from mobilecal_cli.errors import ConfigError, QualityError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.formats import with_verdict
-from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.kinematics.urdf import parse_urdf
@@ -28,6 +27,7 @@ from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.targets import Target
 from tests.command import run, succeeded
 from tests.extractions import Noise, simulated
+from tests.formats import text_of
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
 ROBOT = ROBOTS["paper"]
@@ -139,13 +139,12 @@ def test_the_command_refuses_with_exit_code_6(straight, tmp_path):
     assert "Verdict of the calibration: NOT ENOUGH." in done.err
 
 
-@pytest.mark.parametrize("version", [1, 2])
-def test_a_file_of_an_earlier_version_has_an_unknown_verdict(passed, tmp_path, version):
+def test_a_file_without_a_verdict_has_an_unknown_one(passed, tmp_path):
     text = passed.read_text(encoding="utf-8")
-    older = text[: text.index("# PASS:")] + text[text.index("# Head-eye") :]
+    without = text[: text.index("# PASS:")] + text[text.index("# Head-eye") :]
     shutil.copytree(passed.parent, tmp_path / "result")
     path = tmp_path / "result" / "params.yaml"
-    path.write_text(older.replace("schema_version: 3", f"schema_version: {version}"), encoding="utf-8")
+    path.write_text(without, encoding="utf-8")
     made = mc.export_to(path, "ros2_control")
     (note,) = made.notes
     assert note.startswith("Verdict of the calibration: unknown")
@@ -206,7 +205,7 @@ def test_unobservable_wheels_and_a_fixed_one():
     ]
     assert b'radius="0.101"' in made.content
     assert any("separation unchanged, it is unobservable" in change for change in made.notes)
-    sizes = yaml.safe_load(diff_drive_yaml(partly([8]), JOINTS))["diff_drive_controller"]
+    sizes = yaml.safe_load(text_of("ros2_control", partly([8]), wheel_joints=JOINTS))["diff_drive_controller"]
     assert set(sizes["ros__parameters"]) == {
         "left_wheel_names", "right_wheel_names", "wheel_radius", "left_wheel_radius_multiplier",
         "right_wheel_radius_multiplier",
@@ -214,10 +213,12 @@ def test_unobservable_wheels_and_a_fixed_one():
     made = patched_urdf(URDF, partly([6, 7]), JOINTS)
     assert made.content.count(b'radius="0.1"') == 2
     assert b"0 0.215 0" in made.content
-    sizes = yaml.safe_load(diff_drive_yaml(partly([6, 7]), JOINTS))["diff_drive_controller"]
+    sizes = yaml.safe_load(text_of("ros2_control", partly([6, 7]), wheel_joints=JOINTS))[
+        "diff_drive_controller"
+    ]
     assert not [name for name in sizes["ros__parameters"] if "radius" in name]
     with pytest.raises(ConfigError, match="neither the wheel radii nor the separation"):
-        diff_drive_yaml(partly([6, 7, 8]), JOINTS)
+        text_of("ros2_control", partly([6, 7, 8]), wheel_joints=JOINTS)
     robot = partly([8])
     C = robot.knowledge.covariance.copy()
     C[8, 8] = 0.0

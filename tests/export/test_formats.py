@@ -23,7 +23,6 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import foxglove
 from mobilecal_cli.export.formats.camchain import camchain_yaml
 from mobilecal_cli.export.formats.camera_info import camera_info_yaml, rectified_pair
-from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, WheelGeometry
@@ -129,7 +128,7 @@ def test_xacro_reads_the_properties(tmp_path):
 @pytest.mark.parametrize("nominal", [None, WheelGeometry(0.1, 0.1, 0.48)])
 def test_ros2_control(nominal):
     robot = replace(ROBOT, nominal_wheels=nominal)
-    text = diff_drive_yaml(robot, {"left": "l", "right": "r"})
+    text = text_of("ros2_control", robot, wheel_joints={"left": "l", "right": "r"})
     data = yaml.safe_load(text)["diff_drive_controller"]["ros__parameters"]
     jsonschema.validate(data, DIFF_DRIVE)
     # As the controller multiplies them out.
@@ -139,7 +138,9 @@ def test_ros2_control(nominal):
     assert data["wheel_radius"] == pytest.approx(0.1 if nominal else 0.1015)
     assert (data["left_wheel_names"], data["right_wheel_names"]) == (["l"], ["r"])
     several = replace(robot, side_joints={"left": ("a", "b"), "right": ("c", "d")})
-    named = yaml.safe_load(diff_drive_yaml(several, {"left": "l"}))["diff_drive_controller"]
+    named = yaml.safe_load(text_of("ros2_control", several, wheel_joints={"left": "l"}))[
+        "diff_drive_controller"
+    ]
     names = (named["ros__parameters"][f"{side}_wheel_names"] for side in ("left", "right"))
     assert list(names) == [["l"], ["c", "d"]]  # a joint that the user names stands for its whole side
 
@@ -249,7 +250,7 @@ def test_any_frame_name(parent, child):
     parseString(text_of("xacro", named))
     message = yaml.safe_load(text_of("static_transform_yaml", named))
     assert (message["header"]["frame_id"], message["child_frame_id"]) == (parent, child)
-    drive = yaml.safe_load(diff_drive_yaml(named, {"left": parent, "right": child}))
+    drive = yaml.safe_load(text_of("ros2_control", named, wheel_joints={"left": parent, "right": child}))
     assert drive["diff_drive_controller"]["ros__parameters"]["left_wheel_names"] == [parent]
     with suppress(ConfigError):
         node = parseString(text_of("static_transform_launch", named)).getElementsByTagName("node")[0]

@@ -156,7 +156,7 @@ def test_strings_from_the_log_cannot_break_the_file(extraction, solution):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("schema_version: 3", "schema_version: 5"), "version 5 is not supported, only 1 to 4"),
+        (("schema_version: 3", "schema_version: 5"), "schema_version: must be 3 or 4 (got 5)"),
         (("  radius_left_m:", "  radius_lft_m:"), "wheels.radius_left_m: missing"),
         (("  separation_m: 0", "  separation_m: -0"), "separation_m: must be from 0.01 to 100 m (got -0."),
         (("  radius_left_m: 0", "  radius_left_m: true #"), "valid number (got True)"),

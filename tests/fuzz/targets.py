@@ -26,7 +26,6 @@ from mobilecal_cli.calibrate.load import load
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
-from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
 from mobilecal_cli.kinematics.urdf import parse_urdf
@@ -103,7 +102,7 @@ def _params(path: Path) -> None:
     comparison_text(Comparison(("a", "b"), both, (difference(*both),), history(both)))
     for made in HEAD_EYE:
         text_of(made, robot)
-    diff_drive_yaml(robot, robot.wheel_joints)
+    text_of("ros2_control", robot, wheel_joints=robot.wheel_joints)
 
 
 def _urdf(path: Path) -> None:

@@ -11,6 +11,8 @@ from mobilecal_cli.calibrate.detect import thumbnail_jpeg
 from mobilecal_cli.calibrate.steps import Data, Fit, Report
 from mobilecal_cli.export.params import params_yaml, with_verdict
 from mobilecal_cli.model import (
+    FACTORS,
+    NINE,
     Board,
     CalibratedRobot,
     Extraction,
@@ -26,6 +28,7 @@ from mobilecal_cli.model import (
     Solution,
 )
 from mobilecal_cli.report.criteria import Case
+from mobilecal_cli.report.fleet import FleetRow
 from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.values import ReportData, build_report
 from mobilecal_cli.simulate.robot import TICK_ROBOT
@@ -272,3 +275,19 @@ class Page(HTMLParser):
     @property
     def text(self) -> str:
         return " ".join(" ".join(self.words).split())
+
+
+def fleet_row(
+    name,
+    verdict="PASS",
+    code=0,
+    reason="",
+    turn=(0.0,) * 3,
+    lengths=(0.1,) * 6,
+    multipliers=(),
+    std=1e-3,
+    **more,
+):
+    """A row of a fleet: rotation vector, rad; position and wheels, m; or multipliers of odometry alone for these."""
+    values = dict(zip((*NINE[: 3 + len(lengths)], *FACTORS), (*turn, *lengths, *multipliers), strict=False))
+    return FleetRow(name, verdict, code, reason, 12, values, dict.fromkeys(values, std), **more)

@@ -19,6 +19,7 @@ from tests.report.browser import CHROMIUM, Browser
 from tests.report.example import (
     HOSTILE,
     WHEELS,
+    fleet_row,
     make_extraction,
     make_snapshots,
     make_solution,
@@ -271,10 +272,7 @@ def test_the_first_screen_has_150_words_and_scrolling_stays_the_page_s(browser, 
 
 
 def test_the_fleet_s_table(browser, tmp_path):
-    rows = [
-        FleetRow(f"robot-{n}", "PASS", 0, "fine", 12, (0.1, n * 1e-4, 0), (0.1,) * 6, (1e-3,) * 9)
-        for n in range(8)
-    ]
+    rows = [fleet_row(f"robot-{n}", turn=(0.1, n * 1e-4, 0)) for n in range(8)]
     rows.append(FleetRow("broken", "ERROR", 3, HOSTILE))
     path = tmp_path / "summary.html"
     path.write_text(fleet_html(rows), encoding="utf-8")

@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.report.fleet import FleetRow, failed_text, fleet_csv, fleet_html, fleet_text
+from tests.report.example import fleet_row
 
 
 def test_no_sigma_is_shown_as_zero(extraction):
-    rows = [FleetRow(f"r{n}", "PASS", 0, "", 12, (0.1, 0, 0), (0.1,) * 6, (1e-7,) * 9) for n in range(2)]
+    rows = [fleet_row(f"r{n}", std=1e-7) for n in range(2)]
     assert "± 0.00010" in fleet_html(rows)
     assert not re.search(r"± 0\.0*[^0-9.]", fleet_html(rows))
 
 
 def test_the_table_has_each_robot_s_own_rotation():
     """It was that relative to the first robot that passes, which is zero for this one, in a column "r_x_deg"."""
-    rows = [
-        FleetRow(f"r{n}", "PASS", 0, "", 12, (1.0, -1.2, 0.1 * n), (0.1,) * 6, (1e-3,) * 9) for n in range(2)
-    ]
+    rows = [fleet_row(f"r{n}", turn=(1.0, -1.2, 0.1 * n)) for n in range(2)]
     for n, line in enumerate(csv.DictReader(io.StringIO(fleet_csv(rows)))):
         told = [float(line[f"r_{axis}_deg"]) for axis in "xyz"]
         assert told == pytest.approx(np.degrees([1.0, -1.2, 0.1 * n]), abs=1e-6)
@@ -29,17 +28,8 @@ def test_the_table_has_each_robot_s_own_rotation():
 
 def test_odometry_alone_has_multipliers_and_no_wheels():
     """The assumed radius of 0.1 m times the multiplier stood in the column of the radius, which nobody measured."""
-    odometry = [
-        FleetRow(
-            f"o{n}", "PASS", 0, "", 12, (0.0,) * 3, (0.1,) * 3, (1e-3,) * 9, factors=(1.01, 1 + n // 5, 0.9)
-        )
-        for n in range(6)
-    ]
-    rows = [
-        *odometry,
-        FleetRow("w", "PASS", 0, "", 12, (0.0,) * 3, (0.1,) * 6, (1e-3,) * 9),
-        FleetRow("e", "ERROR", 3, ""),
-    ]
+    odometry = [fleet_row(f"o{n}", lengths=(0.1,) * 3, multipliers=(1.01, 1 + n // 5, 0.9)) for n in range(6)]
+    rows = [*odometry, fleet_row("w"), FleetRow("e", "ERROR", 3, "")]
     *lines, wheels, error = csv.DictReader(io.StringIO(fleet_csv(rows)))
     assert [line["left_wheel_radius_multiplier"] for line in lines] == ["1.000000"] * 5 + ["2.000000"]
     assert {line["std_right_wheel_radius_multiplier"] for line in lines} == {"0.001000"}
@@ -53,12 +43,12 @@ def test_odometry_alone_has_multipliers_and_no_wheels():
 
 def test_the_first_five_of_what_is_skipped_are_named():
     done = [FleetRow(f"r{n}", "PASS", 0, "", skipped="already done") for n in range(6)]
-    said = "Skipped, already done: 6 (r0, r1, r2, r3, r4, and 1 more)."
+    said = "Skipped, already done: 6 (r0, r1, r2, r3, r4 and 1 more)."
     assert fleet_text(done).splitlines()[-1] == said
 
 
 def test_a_fleet_table_runs_no_formula_and_controls_no_terminal():
-    rows = [FleetRow("=HYPERLINK(1)\x1b[31m", "PASS", 0, "fine", 12, (0.0,) * 3, (0.1,) * 6, (1e-3,) * 9)]
+    rows = [fleet_row("=HYPERLINK(1)\x1b[31m")]
     (line,) = csv.DictReader(io.StringIO(fleet_csv(rows)))
     assert line["robot"] == "'=HYPERLINK(1)\\x1b[31m"
     assert "\x1b" not in fleet_text(rows)
@@ -72,7 +62,7 @@ def test_the_failed_robots_are_listed_by_themselves_but_judged_in_their_fleet():
     lengths = [(0.1,) * 6] * 6 + [(0.2, *(0.1,) * 5)]
     levels = ["PASS", "FAIL"] * 3 + ["FAIL"]
     rows = [
-        FleetRow(f"r{n}", level, 0, "", 12, (0.0,) * 3, metres, (1e-3,) * 9, skipped="already done")
+        fleet_row(f"r{n}", level, lengths=metres, skipped="already done")
         for n, (level, metres) in enumerate(zip(levels, lengths, strict=True))
     ]
     *lines, skipped = fleet_text(rows).splitlines()

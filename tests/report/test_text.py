@@ -13,7 +13,7 @@ from mobilecal_cli.model import EstimatedConstant, LogSource, Parameters, WheelG
 from mobilecal_cli.model.text import verdict_lines
 from mobilecal_cli.report.comparison import Comparison, comparison_text
 from mobilecal_cli.report.evaluation import Evaluated, evaluation_text
-from mobilecal_cli.report.fleet import FleetRow, fleet_text
+from mobilecal_cli.report.fleet import fleet_text
 from mobilecal_cli.report.text import summary_text
 from mobilecal_cli.report.verdict import Verdict
 from mobilecal_cli.solvers import evaluate
@@ -23,6 +23,7 @@ from tests.report.example import (
     ROBOT,
     WHEELS,
     Page,
+    fleet_row,
     hostile_solution,
     made,
     make_hostile,
@@ -45,7 +46,7 @@ def texts(extraction):
     past[1] = replace(past[1], wheels=WheelGeometry(0.083, 0.082, 0.35), logs=(LogSource("b", "1"),))
     changes = [difference(past[0], other) for other in past[1:]]
     rows = [
-        FleetRow(f"robot-{n}", level, code, "the reason", 12, (0.1, 0.0, 0.0), (0.1,) * 6, (1e-3,) * 9)
+        fleet_row(f"robot-{n}", level, code, "the reason")
         for n, (level, code) in enumerate((("PASS", 0), ("FAIL", 6), ("NOT ENOUGH", 6)))
     ]
     page = page_of(solution, slipping, make_snapshots(slipping), trial=trial)

@@ -106,9 +106,7 @@ def verdict_note(robot: CalibratedRobot) -> tuple[str, ...]:
     """What a reader of an export has to know: a verdict other than PASS, its reasons, unobservable parameters."""
     lines: tuple[str, ...] = ()
     if not robot.verdict:
-        lines = (
-            "Verdict of the calibration: unknown. Its params.yaml states none, like those of earlier versions.",
-        )
+        lines = ("Verdict of the calibration: unknown. Its params.yaml states none.",)
     elif robot.verdict != "PASS":
         lines = (f"Verdict of the calibration: {robot.verdict}.", *robot.reasons)
     hidden = ", ".join(name for name, hides in zip(NINE, robot.unobservable, strict=True) if hides)

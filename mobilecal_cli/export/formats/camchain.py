@@ -20,7 +20,7 @@ _KALIBR_MODELS = {"plumb_bob": "radtan", "equidistant": "equidistant"}
 def export(of: Source) -> Exported:
     """The cameras as estimated, in the format of Kalibr"""
     rig = of.measurements().rig
-    cameras, notes = improved_cameras(rig, of.robot.constants or {}, kalibr=True)
+    cameras, notes = improved_cameras(rig, of.robot.constants, kalibr=True)
     return Exported(camchain_yaml(cameras, rig.sources.image).encode(), notes)
 
 

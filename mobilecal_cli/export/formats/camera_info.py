@@ -15,7 +15,7 @@ from mobilecal_cli.model import Camera, CameraRig, FloatArray
 
 def export(of: Source, camera: str | None = None) -> Exported:
     """The camera as estimated (`--camera`: another than the reference), with new R and P; only for raw images"""
-    rig, constants = of.measurements().rig, of.robot.constants or {}
+    rig, constants = of.measurements().rig, of.robot.constants
     cameras, notes = improved_cameras(rig, constants)
     what = "the stereo pair was" if cameras.calibrated else "the cameras were"
     if not camera_constants(rig, constants):

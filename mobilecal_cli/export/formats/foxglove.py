@@ -1,4 +1,7 @@
-"""A scene as an MCAP file with Foxglove's messages, and a layout that shows it."""
+"""A scene as an MCAP file with Foxglove's protobuf messages, and a layout that shows it.
+
+Two JSON topics have numbers for plots. The metadata record "mobilecal" has the verdict of the calibration.
+"""
 
 from __future__ import annotations
 
@@ -40,18 +43,8 @@ def export(of: Source, logs: tuple[Path, ...] = ()) -> Exported:
     """[a scene for Foxglove](../how-to/apply-the-result.md#see-it-in-foxglove-or-rerun) as MCAP, and a layout next to
     it (`--output` is required); `--log RECORDING` adds the images
     """
-    scene = of.scene(logs)
-    notes = () if logs else ("The file contains no images. Give the recording with --log to add them.",)
-    return Exported(foxglove_mcap(scene), notes, foxglove_layout(scene), states_verdict=True)
-
-
-def foxglove_mcap(scene: Scene) -> bytes:
-    """An MCAP file with Foxglove's protobuf messages; two JSON topics have numbers for plots.
-
-    Message times are the stations' and the wheels' times. Images come with annotations of the same time. The metadata
-    record "mobilecal" has the verdict of the calibration and its reasons.
-    """
-    messages = _Messages()
+    # Message times are the stations' and the wheels' times. Images come with annotations of the same time.
+    scene, messages = of.scene(logs), _Messages()
     for log, motion in scene.motions.items():
         stations = [k for k, o in enumerate(scene.extraction.observations) if o.log == log]
         _add_frames(messages, scene, motion)
@@ -60,7 +53,10 @@ def foxglove_mcap(scene: Scene) -> bytes:
             _add_station(messages, scene, station)
     _add_unused(messages, scene)
     robot = scene.robot
-    return messages.written({"verdict": robot.verdict or "unknown", "reasons": "\n".join(robot.reasons)})
+    content = messages.written({"verdict": robot.verdict or "unknown", "reasons": "\n".join(robot.reasons)})
+    layout = rendered("foxglove_layout.json", cameras=scene.cameras.names, world=scene.names.world)
+    notes = () if logs else ("The file contains no images. Give the recording with --log to add them.",)
+    return Exported(content, notes, json.dumps(json.loads(layout), indent=1) + "\n", states_verdict=True)
 
 
 class _Messages:
@@ -168,7 +164,7 @@ def _camera_entity(scene: Scene, station: int, time_ns: int) -> _Part:
     x, y = _FRUSTUM_M * np.array([camera.width / camera.K[0, 0], camera.height / camera.K[1, 1]]) / 2
     rim = np.array([[x, y, _FRUSTUM_M], [-x, y, _FRUSTUM_M], [-x, -y, _FRUSTUM_M], [x, -y, _FRUSTUM_M]])
     segments = [part for k in range(4) for part in (tip, rim[k], rim[k], rim[k - 1])]
-    pose, name = _pose(scene.T_w_c[station]), scene.station_name(station)
+    pose, name = _pose(scene.residuals.T_w_c[station]), scene.station_name(station)
     shown = {"pose": pose, "scale_invariant": True, "color": _color(_BLUE)}
     points = [_vector(point) for point in segments]
     return {
@@ -291,12 +287,3 @@ def _transform(time_ns: int, parent: str, child: str, T_parent_child: FloatArray
         "translation": _vector(T_parent_child[:3, 3]),
         "rotation": _quaternion(T_parent_child[:3, :3]),
     }
-
-
-# -- layout ---------------------------------------------------------------------------------------
-
-
-def foxglove_layout(scene: Scene) -> str:
-    """A layout file for Foxglove: images with corners, the 3D view, plots, states and the log."""
-    text = rendered("foxglove_layout.json", cameras=scene.cameras.names, world=scene.names.world)
-    return json.dumps(json.loads(text), indent=1) + "\n"

@@ -7,28 +7,15 @@ from collections.abc import Mapping
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.text import rendered
-from mobilecal_cli.model import SIDES, CalibratedRobot, Side
+from mobilecal_cli.model import SIDES, Side
 
 
 def export(of: Source, wheel_joints: Mapping[Side, str]) -> Exported:
     """Parameters of `diff_drive_controller`"""
-    return Exported(diff_drive_yaml(of.robot, wheel_joints).encode())
-
-
-def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str]) -> str:
-    """Parameters of ros2_control's diff_drive_controller.
-
-    The controller takes one wheel radius and one separation, each with multipliers. The multipliers refer to the
-    nominal sizes; without these, the radius is the mean of both and the multiplier of the separation is 1.
-    Unobservable sizes are left out, so that the controller keeps its own.
-
-    Args:
-        robot: its nominal radii count as their mean.
-        joints: names of the wheel joints, as far as they are known.
-
-    Raises:
-        ConfigError: all sizes are unobservable.
-    """
+    # The controller takes one wheel radius and one separation, each with multipliers. The multipliers refer to the
+    # nominal sizes; without these, the radius is the mean of both and the multiplier of the separation is 1.
+    # Unobservable sizes are left out, so that the controller keeps its own.
+    robot = of.robot
     no_radius, no_separation = bool(robot.unobservable[6:8].any()), bool(robot.unobservable[8])
     again = "record again with straight drives and turns"
     if no_radius and robot.odometry is not None:
@@ -38,8 +25,8 @@ def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str]) -> str:
     base, sizes = "the nominal sizes", robot.nominal_wheels
     if sizes is None:
         base, sizes = "the mean of both radii and the calibrated separation", robot.wheels
-    every = {**robot.side_joints, **{side: (name,) for side, name in joints.items()}}
-    return rendered(
+    every = {**robot.side_joints, **{side: (name,) for side, name in wheel_joints.items()}}
+    text = rendered(
         "ros2_control.yaml",
         robot=robot,
         joints=[(side, every[side]) for side in SIDES if side in every],
@@ -51,3 +38,4 @@ def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str]) -> str:
         factors=robot.factors,
         std=robot.factors_std,
     )
+    return Exported(text.encode())

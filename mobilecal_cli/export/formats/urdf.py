@@ -48,7 +48,7 @@ def export(
         kept = "the effective separation belongs into the controller"
     joints = {} if kept else wheel_joints
     if with_chain:
-        if robot.constants is None:
+        if not robot.constants:
             raise ConfigError(
                 f"{of.params}: the head chain was not estimated",
                 "calibrate extraction.npz again with this version and --method ml, or omit --with-chain",
@@ -174,16 +174,7 @@ class _File:
         self._new: dict[tuple[_Tag, str], bytes] = {}
 
     def put(self, tag: _Tag, element: str, new: bytes) -> None:
-        """Replace the bytes of a tag; where it has none, insert an element.
-
-        Raises:
-            ConfigError: the second time for one tag, as for one joint of two wheels.
-        """
-        if (tag, element) in self._new:
-            raise ConfigError(
-                "URDF: one joint or link would have to change in two ways",
-                "give different joints for the two wheels, and the URDF of the robot that was calibrated",
-            )
+        """Replace the bytes of a tag; where it has none, insert an element."""
         self._new[tag, element] = new
 
     def change(self, tag: _Tag, values: Mapping[str, str], element: str = "") -> None:
