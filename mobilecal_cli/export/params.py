@@ -338,7 +338,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     elsewhere = read_elsewhere.get("elsewhere", {}) if isinstance(read_elsewhere, dict) else {}
     settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
     joints = {side: wheel.side_joints for side, wheel in settings.wheels.of_sides.items()}
-    _refuse_unknown(constants or {}, settings, name)
+    _refuse_unknown(checked.constants, settings, name)
     sizes = checked.wheels or checked.odometry
     assert sizes is not None  # checked above
     return CalibratedRobot(
