@@ -208,8 +208,8 @@ def directions(lin: Posterior, user_weight: FloatArray) -> tuple[FloatArray, Flo
     wheels' share of a direction, with a scatter of ``WHEEL_SIGMA^2 sqrt(2 n)``. A direction is observable if it shows
     more than this, and five times the scatter, and a drawing.
 
-    The height of a camera that never tilts is none, unless a prior of the user says as much of it as a drawing: only its
-    lever shows it where the base leans, and what turns it in its mount, or the base about springs, shows another lever.
+    The height of a camera that never tilts is none, unless a prior of the user says as much of it as a drawing: only
+    its lever shows it where the base leans; what turns it in its mount, or the base on springs, shows another lever.
 
     Args:
         lin: where.
