@@ -22,7 +22,6 @@ from mobilecal_cli.likelihood.views import summed
 from mobilecal_cli.model import NINE, FloatArray
 
 _SCATTERS = 5.0  # of what noise alone would show, in its standard deviations
-_DRAWING = 0.5  # least weight of the user's prior of a height, in that of a drawing
 _UPRIGHT = 0.5  # length of what is free of the vertical, beyond which the height is free
 
 
@@ -208,8 +207,8 @@ def directions(lin: Posterior, user_weight: FloatArray) -> tuple[FloatArray, Flo
     wheels' share of a direction, with a scatter of ``WHEEL_SIGMA^2 sqrt(2 n)``. A direction is observable if it shows
     more than this, and five times the scatter, and a drawing.
 
-    The height of a camera that never tilts is none, unless a prior of the user says as much of it as a drawing: only
-    its lever shows it where the base leans; what turns it in its mount, or the base on springs, shows another lever.
+    The height of a camera that never tilts is none: only its lever shows it where the base leans, and what turns it in
+    its mount, or the base on springs, shows another lever.
 
     Args:
         lin: where.
@@ -234,7 +233,7 @@ def directions(lin: Posterior, user_weight: FloatArray) -> tuple[FloatArray, Flo
     reduced = S[:nine, :nine] - across @ np.linalg.solve(inner, across.T)
     reduced = reduced * np.outer(scales, scales)
     kept, height = np.eye(nine)[:, ~fixed[:nine]], _unseen_height(lin)
-    if height is not None and height @ (user_weight[:nine] * scales**2 * height) < _DRAWING:
+    if height is not None:
         reduced -= np.outer(height, height @ reduced)
         reduced -= np.outer(reduced @ height, height)
     values, vectors = np.linalg.eigh(kept.T @ reduced @ kept)
