@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import betainc, gammaln
 
 from mobilecal_cli import se3
+from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import POSE, BoardEffect, CameraEffect
 from mobilecal_cli.likelihood.evidence import equivalent_sigmas, from_chance
@@ -78,8 +79,10 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
         by_images[:, [views.traced.tolist().index(unknown) for unknown in unknowns]] = columns
         return by_images, np.zeros((*residuals.shape, columns.shape[-1]))
 
-    delta = range(6)
-    parts = {"head mount": of_images(delta, views.by_shared[:, :, :6])}
+    delta, of_mount, vertical = range(6), views.by_shared[:, :, :6].copy(), unseen_height(data.chain)
+    if vertical is not None:  # the height of a camera that never tilts does not show
+        of_mount[..., 3:] -= np.outer(of_mount[..., 3:] @ vertical, vertical).reshape(of_mount[..., 3:].shape)
+    parts = {"head mount": of_images(delta, of_mount)}
     for j, name in enumerate(data.chain.joints):
         parts[f"joint {name}"] = of_images(delta, views.by_own[:, :, j : j + 1])
     parts["board"] = of_images(delta, se3.adjoint(lin.state.T_c_k))
