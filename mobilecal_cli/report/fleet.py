@@ -6,9 +6,10 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import ConfigDict
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import FACTORS, NINE, FloatArray
@@ -40,6 +41,9 @@ class FleetRow:
         hint: what to do next, if it did not pass.
         seconds: how long it took, s.
     """
+
+    #: A record of another version is none.
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     name: str
     verdict: str

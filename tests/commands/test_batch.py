@@ -478,6 +478,20 @@ def test_everything_that_changes_a_result_is_in_its_fingerprint(tmp_path, counte
     assert json.dumps(RigConfig.model_json_schema()).count('"format": "path"') == 1  # head.urdf alone
 
 
+def test_a_record_of_another_version_is_none(tmp_path, counted):
+    """Its row was taken without its numbers."""
+    source, out = urdf_robot(tmp_path), tmp_path / "out"
+    (row,) = batch_module.batch(source, out, run=in_this_process)
+    record = out / batch_module.RECORDS / f"{row.name}.json"
+    content = json.loads(record.read_text())
+    content["row"]["rotvec_rad"] = [0.0, 0.0, 0.0]
+    record.write_text(json.dumps(content))
+    (result,) = batch_module.batch(source, out, run=in_this_process)
+    assert (result.verdict, result.exit_code) == ("ERROR", 7)
+    (result,) = batch_module.batch(source, out, force=True, run=in_this_process)
+    assert (result.verdict, result.skipped) == ("PASS", "")
+
+
 def test_an_error_whose_cause_is_mended(tmp_path, counted):
     source, out = urdf_robot(tmp_path), tmp_path / "out"
     (tmp_path / "head.urdf").rename(tmp_path / "elsewhere")
