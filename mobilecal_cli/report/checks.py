@@ -67,6 +67,8 @@ _ALIKE = 0.1
 #: Largest difference of a wheel's size, in percent, from the other wheel's, from its nominal value, or of a factor of
 #: odometry from 1: wrong ticks, gears and diameters make larger ones, a tape measure, tires and load a few percent.
 _SIZE_BAD = 25.0
+#: Percent by which radii and separation are all off to one side with one camera: seldom by chance, and too much.
+_NOTICED, _TOO_MUCH = 1.5, 5.0
 #: Largest share of outliers, in percent: what a robust estimate tolerates.
 _MOST_OUTLIERS = 30.0
 
@@ -254,7 +256,8 @@ def scale(case: Case, metric: Metric) -> Iterator[Check]:
         other = "the sizes of the wheels in the odometry's driver"
     std_m = math.sqrt(case.solution.uncertainty.covariance[6 + least, 6 + least])
     by_chance = 100 * CONTRADICTION_SIGMAS * std_m / float(stated.vector[least])
-    limit = 5.0
+    limit = _TOO_MUCH if several or abs(common) > _TOO_MUCH else _NOTICED
+    beyond: Outcome = "warning" if limit < abs(common) <= _TOO_MUCH else "fail"
     cure = (
         f"Measure ten squares with a ruler: with one camera, the size of the squares ({square_m} m) gives the scale. "
         f"If it is as stated, correct {other}."
@@ -263,13 +266,13 @@ def scale(case: Case, metric: Metric) -> Iterator[Check]:
         cure = "Check the scale of the measured poses: it is that of the wheels."
     if len(rig.cameras.each) > 1 or square_m is None:
         ratios = dict(zip(sizes, (1 + off / 100).tolist(), strict=True))
-        limit, cure = _SIZE_BAD, _nominal_cure("radius_right", ratios, case)
+        limit, beyond, cure = _SIZE_BAD, "fail", _nominal_cure("radius_right", ratios, case)
         one_factor = abs(common) > limit and len(_alike(ratios, "radius_right")) == len(ratios)
         if not one_factor or rig.sources.assumed_odometry is not None:
             return
     yield metric.check(
         common, limit, "common factor of all sizes of the wheels", cure, why=why,
-        passes=abs(common) <= max(limit, by_chance),
+        passes=abs(common) <= max(limit, by_chance), beyond=beyond,
     )  # fmt: skip
 
 

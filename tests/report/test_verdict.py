@@ -24,8 +24,11 @@ from mobilecal_cli.model import (
     ScaleCheck,
     WheelGeometry,
 )
+from mobilecal_cli.report import checks
+from mobilecal_cli.report.criteria import Case, Metric
+from mobilecal_cli.simulate.robot import RGBD_ROBOT
 from mobilecal_cli.solvers import solve
-from tests.judging import judge
+from tests.judging import NOWHERE, judge
 from tests.report.example import (
     ROBOT,
     WHEELS,
@@ -272,6 +275,19 @@ def test_one_factor_of_all_sizes_goes_before_what_follows_from_it():
     four = {side: replace(source, others=(source,)) for side, source in sources.wheels.items()}
     skid = replace(radii, rig=replace(radii.rig, sources=replace(sources, wheels=four)))
     assert judge(moved, skid).reason.startswith("The radii of the wheels are both at least 33")
+
+
+@pytest.mark.parametrize(("times", "outcome"), [(1.01, "pass"), (1.03, "warning"), (1.06, "fail")])
+def test_squares_of_one_camera_are_to_be_measured_where_all_sizes_are_off(times, outcome):
+    solution, extraction = drawn()
+    one = replace(extraction.rig, cameras=RGBD_ROBOT.rig_cameras)
+    stated = replace(extraction, rig=one, board=replace(extraction.board, square_m=0.08))
+    nominal = Nominal(wheels=WheelGeometry(*(times * solution.parameters.wheels.vector)))
+    (check,) = checks.scale(
+        Case(solution, with_nominal(stated, nominal), NOWHERE), Metric("nominal.scale", "%")
+    )
+    assert check.outcome == outcome
+    assert check.next_step.startswith("Measure ten squares") == (outcome != "pass")
 
 
 @pytest.mark.parametrize(("times", "warned"), [(30.0, True), (3.0, False)])
