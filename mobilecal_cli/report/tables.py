@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 
 from mobilecal_cli.likelihood.constants import kind_of
-from mobilecal_cli.model import NINE, SIDES
+from mobilecal_cli.model import NINE, SIDES, HeadChain
 from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.evaluation import EvaluationData, evaluation_tables
 from mobilecal_cli.report.formats import Table, like
@@ -112,11 +112,19 @@ def noise(case: Case) -> Iterator[Table]:
             source = "estimated"
         elif level == "encoder_rad":
             source = "from the encoder step"
-        if level == "joint_rad" and len(chain.prismatic) == len(chain.joints):
-            factor, unit = 1e3 * chain.joint_units[0], "mm"
-        rows.append((meaning, std_text(std * factor), unit, source))
+        kinds = [("", factor, unit)] if level != "joint_rad" else _joint_kinds(chain)
+        rows += [(f"{meaning}{kind}", std_text(std * f), shown, source) for kind, f, shown in kinds]
     heads = ("measurement", "number:1 sigma", "unit", "source")
     yield Table.of(heads, rows, "limits", "Measurement noise")
+
+
+def _joint_kinds(chain: HeadChain) -> list[tuple[str, float, str]]:
+    """Kinds of joints of a head: (suffix of the label, factor from units of joint noise, unit for people)."""
+    units = dict(zip(chain.joints, chain.joint_units, strict=True))
+    both = 0 < len(chain.prismatic) < len(units)
+    revolute, prismatic = (", revolute", ", prismatic") if both else ("", "")
+    kinds = [(revolute, DEG, "deg")] if len(chain.prismatic) < len(units) else []
+    return kinds + [(prismatic, 1e3 * units[name], "mm") for name in sorted(chain.prismatic)[:1]]
 
 
 @table
