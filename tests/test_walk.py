@@ -9,12 +9,12 @@ pytestmark = pytest.mark.pages
 
 #: Command, its exit code, and a part of what it prints.
 STEPS = (
-    ("mobilecal simulate monday.mcap --seed 11", 0, "Written: monday.mcap"),
+    ("mobilecal simulate monday.mcap --seed 11", 0, "Next: mobilecal calibrate monday.mcap"),
     ("mobilecal board --corners 8x5 --square 0.08 --output board.pdf", 0, "board: {"),
     ("mobilecal inspect monday.mcap", 0, ""),
     ("mobilecal init monday.mcap", 0, "Next: mobilecal check rig.yaml monday.mcap"),
     ("mobilecal check rig.yaml monday.mcap", 0, ""),
-    ("mobilecal simulate ticks.mcap --robot tick --seed 13 --quiet", 0, ""),
+    ("mobilecal simulate ticks.mcap --robot tick --seed 13", 0, "--set wheels.left.ticks_per_revolution=4096"),
     ("mobilecal init ticks.mcap --output ticks.yaml", 0, "ticks_per_revolution"),
     ("mobilecal check ticks.yaml ticks.mcap", 2, "not filled in yet: wheels.left.ticks_per_revolution"),
     ("sed -i.bak 's/revolution: TODO/revolution: 4096/' ticks.yaml", 0, ""),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -50,6 +51,7 @@ def simulate(
     """
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.errors import ConfigError
+    from mobilecal_cli.model.text import visible
     from mobilecal_cli.simulate.record import simulate as record
     from mobilecal_cli.simulate.scenario import Scenario
 
@@ -73,3 +75,5 @@ def simulate(
         truth = record(scenario, out, force, progress)
     if not quiet:
         typer.echo(written_line(out, truth))
+        settings = (f" --set {key}={value}" for key, value in scenario.unrecorded().items())
+        typer.echo(visible(f"Next: mobilecal calibrate {shlex.quote(str(out))}{''.join(settings)}"))

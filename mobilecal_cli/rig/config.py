@@ -38,6 +38,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
     WheelSource,
 )
+from mobilecal_cli.model.text import listed
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
@@ -133,9 +134,9 @@ class BoardConfig(_Section):
                 )
             return self
         needed = {"charuco": ("dictionary", "marker_share"), "aprilgrid": ("gap_share",)}[self.kind]
-        for key in ("columns", "rows", *needed):
-            if getattr(self, key) is None:
-                raise ValueError(f"a board of kind {self.kind} requires {key}")
+        missing = [key for key in ("columns", "rows", *needed) if getattr(self, key) is None]
+        if missing:
+            raise ValueError(f"a board of kind {self.kind} requires {listed(missing)}")
         return self
 
     @property

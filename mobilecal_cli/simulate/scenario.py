@@ -8,9 +8,15 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.export.text import rendered
-from mobilecal_cli.model import Board, CameraRig, FloatArray, Markers
+from mobilecal_cli.model import SIDES, Board, CameraRig, FloatArray, Markers
 from mobilecal_cli.simulate.render import BoardRenderer
-from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, JOINT_RATE_HZ, ROBOTS, SimulatedRobot
+from mobilecal_cli.simulate.robot import (
+    JOINT_NOISE_RAD,
+    JOINT_RATE_HZ,
+    ROBOTS,
+    TICKS_PER_REVOLUTION,
+    SimulatedRobot,
+)
 from mobilecal_cli.simulate.route import CHECKERBOARD, Route, base_in_world, plan_route
 from mobilecal_cli.targets import BoardKind, Container, Motion, Pictures
 
@@ -55,6 +61,21 @@ class Scenario:
     kind: BoardKind = "checkerboard"
     exact: bool = False
     camera_late_s: float = 0.0
+
+    def unrecorded(self) -> dict[str, object]:
+        """Keys of rig.yaml for what the recording does not contain, and their values."""
+        robot, board = ROBOTS[self.robot], PRINTED.get(self.kind, self.board)
+        keys: dict[str, object] = {}
+        if (markers := board.markers) is not None:
+            share = "marker_share" if markers.kind == "charuco" else "gap_share"
+            keys = {"kind": markers.kind, "columns": board.columns, "rows": board.rows, share: markers.share}
+            keys |= {"dictionary": markers.dictionary, "border_bits": markers.border_bits}
+        if markers is not None or len(robot.infos) == 1:
+            keys["square_m"] = board.square_m
+        settings = {f"board.{key}": value for key, value in keys.items()}
+        if robot.wheel_signal == "ticks":
+            settings |= {f"wheels.{side}.ticks_per_revolution": TICKS_PER_REVOLUTION for side in SIDES}
+        return settings
 
     def plan(self) -> tuple[SimulatedRobot, Route]:
         """The robot and its route.

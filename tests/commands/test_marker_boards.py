@@ -5,26 +5,20 @@ import pytest
 from ruamel.yaml import YAML
 
 from mobilecal_cli.calibrate import inspect, steps
-from mobilecal_cli.rig.config import RigConfig
+from mobilecal_cli.rig.config import load_rig, parse_settings
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.simulate.scenario import PRINTED, Scenario
 from tests.truth import nees
-
-BOARDS = {
-    "charuco": {"dictionary": "DICT_5X5_1000", "marker_share": 0.75},
-    "aprilgrid": {"gap_share": 0.3, "border_bits": 2},
-}
 
 
 @pytest.mark.parametrize("kind", [pytest.param("charuco", marks=pytest.mark.slow), "aprilgrid"])
 @pytest.mark.long
 def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
     """The board is larger than most pictures show: a checkerboard of its size would hardly be seen."""
-    log, board = tmp_path / "log.mcap", PRINTED[kind]
-    simulate(Scenario(kind=kind, seed=2), log)
-    size = {name: getattr(board, name) for name in ("columns", "rows", "square_m")}
-    config = RigConfig.model_validate({"board": {**size, "kind": kind, **BOARDS[kind]}})
+    log, board, scenario = tmp_path / "log.mcap", PRINTED[kind], Scenario(kind=kind, seed=2)
+    simulate(scenario, log)
+    config = load_rig(None, parse_settings(f"{key}={value}" for key, value in scenario.unrecorded().items()))
     found = steps.calibrate([log], tmp_path / "out", config=config)
     seen = [corners.seen for o in found.fit.extraction.observations for corners in (o.views[0], o.views[1])]
     assert len(seen) >= 2 * 9

@@ -116,7 +116,7 @@ def test_flags_lie_over_the_file(write):
             "a board of kind charuco requires dictionary",
         ),
         ("board: {kind: aprilgrid, columns: 6, rows: 6}", "a board of kind aprilgrid requires gap_share"),
-        ("board: {kind: aprilgrid, gap_share: 0.3}", "requires columns"),
+        ("board: {kind: aprilgrid}", "requires columns, rows, gap_share"),
         ("board: {columns: 8, rows: 5, marker_share: 0.7}", "set kind to charuco or aprilgrid"),
         (
             "board: {kind: charuco, columns: 8, rows: 5, dictionary: DICT_9X9, marker_share: 0.7}",

@@ -13,6 +13,7 @@ from ruamel.yaml import YAML
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.readers import open_recording, read_description, read_images, read_signals
+from mobilecal_cli.rig.config import load_rig, parse_settings
 from mobilecal_cli.se3 import from_quaternion_xyzw
 from mobilecal_cli.simulate.record import START_NS, simulate, truth_path
 from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, ROBOTS, urdf_text
@@ -266,3 +267,17 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path, copied, monkeypatch, co
         simulate(scenario, tmp_path / f"log{SUFFIXES[container]}", force=True)
     assert files(tmp_path) == before
     assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize(
+    ("scenario", "keys"),
+    [
+        (Scenario(), set()),
+        (Scenario(robot="rgbd"), {"board.square_m"}),
+        (Scenario(robot="tick"), {"wheels.left.ticks_per_revolution", "wheels.right.ticks_per_revolution"}),
+    ],
+)
+def test_what_no_recording_contains(scenario, keys):
+    settings = scenario.unrecorded()
+    assert settings.keys() == keys
+    load_rig(None, parse_settings(f"{key}={value}" for key, value in settings.items()))
