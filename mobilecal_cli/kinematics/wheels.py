@@ -156,15 +156,19 @@ def between_steps(track: Track, step_rad: float) -> Track:
 
     Such a reading is most accurate at the moment it changes. At any other time it can be wrong by half a step, with the
     same sign until the next change. Where a reading differs from the one before by more steps, both stay as they are:
-    a line between the middles of such changes would round off every change of speed. A wheel without steps stays.
+    a line between the middles of such changes would round off every change of speed. So it would where the wheel turns
+    back: readings between two opposite changes stay, too. A wheel without steps stays.
     """
     if not step_rad:
         return track
     offsets, value = (track.time_ns - track.time_ns[0]).astype(np.float64), track.value
-    size = np.abs(np.diff(value))
+    change = np.diff(value)
+    size, changed = np.abs(change), np.flatnonzero(change)
     slow = (size > 0) & (size < _FEW_STEPS * step_rad)
     fast = np.flatnonzero(size >= _FEW_STEPS * step_rad)
-    kept = np.unique(np.concatenate([[0], fast, fast + 1, [len(value) - 1]]))
+    back = np.flatnonzero(np.diff(np.sign(change[changed])))
+    ends = (0, len(value) - 1)
+    kept = np.unique(np.concatenate([ends, fast, fast + 1, changed[back] + 1, changed[back + 1]]))
     at = np.concatenate([offsets[kept], (offsets[1:] + offsets[:-1])[slow] / 2])
     values = np.concatenate([value[kept], (value[1:] + value[:-1])[slow] / 2])
     order = np.argsort(at, kind="stable")

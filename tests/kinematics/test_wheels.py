@@ -137,6 +137,17 @@ def test_between_its_steps_a_reading_runs_on():
     assert smooth[-1] == read[-1]
 
 
+def test_where_a_wheel_turns_back_it_is_not_cut_off():
+    """Lines through the changes cut off half a step on average: of rides to and fro, 1 % of the way was missing."""
+    time_ns, step, off = np.arange(0, 151, dtype=np.int64) * 20_000_000, 0.05, []
+    for phase in np.linspace(0, step, 40, endpoint=False):
+        true_rad = phase - 0.3 * (time_ns * 1e-9 - 1.5) ** 2
+        read = np.floor(true_rad / step) * step + step / 2
+        off.append((between_steps(Track(time_ns, read), step).value - true_rad)[75])
+    assert abs(np.mean(off)) < 0.05 * step
+    assert np.abs(off).max() < 0.55 * step
+
+
 def test_a_sudden_change_of_speed_is_not_rounded_off():
     """Readings that change by many steps are used as they are: none is wrong by more than its step."""
     time_ns = np.arange(0, 200, dtype=np.int64) * 20_000_000
