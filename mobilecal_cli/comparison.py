@@ -245,13 +245,14 @@ def history(robots: Sequence[CalibratedRobot]) -> History:
         ConfigError: the frames differ.
     """
     change = np.stack([difference(robots[0], robot).change for robot in robots])
-    std = np.zeros_like(change)
-    for row, robot in zip(std, robots, strict=True):
+    std, observed = np.zeros_like(change), np.zeros(change.shape, dtype=np.bool_)
+    for row, robot in enumerate(robots):
         if robot.knowledge is not None:
-            row[:] = np.sqrt(np.diag(robot.knowledge.covariance))
+            std[row] = np.sqrt(np.diag(robot.knowledge.covariance))
+            observed[row] = robot.knowledge.observable & (std[row] > 0)
     chance = np.full(9, np.nan)
     for k in range(9):
-        known = std[:, k] > 0
+        known = observed[:, k]
         if known.sum() >= 2:
             weight = 1 / std[known, k] ** 2
             mean = np.average(change[known, k], weights=weight)

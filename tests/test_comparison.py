@@ -27,6 +27,7 @@ from mobilecal_cli.report.comparison import (
     change_since,
     comparison_json,
     comparison_text,
+    constancy,
 )
 
 WHEELS = WheelGeometry(0.1, 0.1, 0.5)
@@ -217,6 +218,13 @@ def test_history_tells_what_moves():
     assert past.chance[5] < 1e-6
     assert np.all(past.chance[[3, 4]] > 0.01)
     assert past.chance[0] == 1  # they do not differ at all
+
+
+def test_history_has_no_conclusion_about_what_no_calibration_determines():
+    observable = np.arange(9) != 5
+    chance = history([robot(observable=observable)] * 3).chance
+    assert np.flatnonzero(np.isnan(chance)).tolist() == [5]
+    assert "no conclusion" in constancy(chance[5])
 
 
 def test_chance_is_uniform_over_unchanged_robots():

@@ -200,7 +200,7 @@ def conclusion(difference: Difference, first: str, second: str) -> str:
 def constancy(chance: float) -> str:
     """Whether a parameter changed over several calibrations, by the probability of such a spread by chance."""
     if not math.isfinite(chance):
-        return "unknown in all but one calibration"
+        return "no conclusion: fewer than two calibrations determine it"
     said = "changed" if chance < UNLIKELY else "unchanged"
     return f"{said} (probability by chance {percent_text(chance)})"
 
