@@ -192,7 +192,8 @@ class Uncertainty(ReadOnly):
             reference camera, for comparison.
         noise_std: (9,) the same from the noise levels alone, without `widened`.
         described: (9,) unobservable parameters that no motion of this robot shows: the height of a camera that never
-            tilts. They are as described; expected errors at work and the budget are about all else.
+            tilts. They are as described, or as the user's prior says; expected errors at work and the budget are about
+            all else.
         widened: (9,) factor on each standard deviation: above 1 where the jackknife is clearly larger.
         at_work: expected errors at work.
         camera: (6 + K, 6 + K) covariance of the first camera's pose in the base, right twist (rotation, then
@@ -201,6 +202,7 @@ class Uncertainty(ReadOnly):
         asked: options with which the user fixed a parameter or constant, or stated its prior ("--fix t_x"), or narrower
             priors in rig.yaml ("priors.pan_zero"), each alone or all together → distance of the data from what is
             asked, and the largest change of the nine without any, both in standard deviations.
+        with_prior: (9,) parameters whose prior the user stated.
     """
 
     covariance: Annotated[FloatArray, 9, 9]
@@ -220,6 +222,7 @@ class Uncertainty(ReadOnly):
     camera_constants: tuple[str, ...]
     budget: Budget
     asked: Mapping[tuple[str, ...], tuple[float, float]] = field(default_factory=dict)
+    with_prior: Annotated[BoolArray, 9] = field(default_factory=lambda: np.zeros(9, dtype=np.bool_))
 
     @property
     def std(self) -> FloatArray:

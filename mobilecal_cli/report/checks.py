@@ -699,7 +699,8 @@ def nominal_pose(case: Case, metric: Metric) -> Iterator[Check]:
     elif likely:
         why = f"nominal.head_eye looks like {likely}: it differs from the result {by}."
     uncertainty, height = case.solution.uncertainty, ""
-    if uncertainty is not None and uncertainty.described.any() and distance_m > limit * NINE_SIGMAS[3]:
+    taken = uncertainty is not None and (uncertainty.described & ~uncertainty.with_prior).any()
+    if taken and distance_m > limit * NINE_SIGMAS[3]:
         height = " The camera's height, which no motion shows, is taken from it."
     yield metric.check(
         sigmas,

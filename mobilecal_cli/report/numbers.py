@@ -126,7 +126,8 @@ class NumberData(JsonValue):
         label: for people.
         unit: of value and std, as in params.yaml.
         value, std: None where it has no standard deviation.
-        state: "" for an estimated number, otherwise "fixed", "not determined" or "from the robot description".
+        state: "" for an estimated number, otherwise "fixed", "not determined", "from the robot description" or, where
+            the user stated a prior of what no motion shows, "from --prior".
         value_text, std_text: with two digits of the standard deviation.
     """
 
@@ -149,7 +150,8 @@ def numbers_of(solution: Solution, rig: Rig) -> tuple[NumberData, ...]:
     if uncertainty is not None:
         for k, std in enumerate(stds):
             states[k] = "fixed" if std is None else "" if uncertainty.observable[k] else "not determined"
-            states[k] = "from the robot description" if uncertainty.described[k] else states[k]
+            if uncertainty.described[k]:
+                states[k] = "from --prior" if uncertainty.with_prior[k] else "from the robot description"
     rows = [(p.name, p.label, p.unit, float(v), s) for p, v, s in zip(PARAMETERS, values, stds, strict=True)]
     factors = odometry_factors(rig, solution).items()
     if factors:  # the last two follow from the others

@@ -19,7 +19,7 @@ from mobilecal_cli.model.text import capitalized
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report.checks import EVALUATED
 from mobilecal_cli.report.criteria import CRITERIA, Case, Check, Metric
-from mobilecal_cli.report.numbers import PARAMETERS, plain_names, reference_std
+from mobilecal_cli.report.numbers import PARAMETERS, numbers_of, plain_names, reference_std
 from mobilecal_cli.report.use import FIGURES, Error, Figure, next_step_of, shares_of, use_sentence
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
@@ -64,10 +64,13 @@ def verdict_of(case: Case) -> Verdict:
         next_step = "Calibrate with --method ml (the default) for standard deviations and expected errors."
     else:
         reason = use_sentence(solution, case.gates)
-        described = [name for name, of in zip(NINE, solution.uncertainty.described, strict=True) if of]
-        if described:
-            shown = capitalized(plain_names(described, case.extraction))
-            reason += f" {shown} from the robot description: no motion shows it, and these errors do not include it."
+        numbers = zip(
+            NINE, numbers_of(solution, case.extraction.rig), solution.uncertainty.described, strict=False
+        )
+        for name, number, described in numbers:
+            if described:
+                shown = capitalized(plain_names([name], case.extraction))
+                reason += f" {shown} {number.state}: no motion shows it, and these errors do not include it."
         next_step = _use(solution, solution.uncertainty.at_work, case.extraction.rig.chain)
     return Verdict("PASS", reason, next_step + _first(checks), checks)
 

@@ -196,12 +196,16 @@ class Inference:
         return Priors(layout, anchor, mean, weight, fixed, kept, np.array(alike), {})
 
     def _require_nominal(self, unobservable: FloatArray) -> None:
-        """Refuse to keep the prior of a parameter that has none.
+        """Refuse to keep the prior of a parameter that has none, neither a nominal value nor the user's.
 
         Raises:
             SolveError: naming the parameters and what is missing.
         """
-        needed = [NINE[k] for k in np.flatnonzero(np.abs(unobservable).max(axis=0, initial=0.0) > 0.3)]
+        needed = [
+            NINE[k]
+            for k in np.flatnonzero(np.abs(unobservable).max(axis=0, initial=0.0) > 0.3)
+            if NINE[k] not in self.constraints.priors
+        ]
         missing = []
         if self.nominal.T_h_c is None and set(needed) & set(NINE[:6]):
             missing.append("nominal.head_eye")
@@ -211,7 +215,7 @@ class Inference:
             # Rotations are relative to the nominal one.
             fixable = [name for name in needed if name not in NINE[:3]]
             cures = [f"set {' and '.join(missing)} in rig.yaml"]
-            cures += [f"use --fix {name}=VALUE" for name in fixable[:1]]
+            cures += [f"use --fix {name}=VALUE or --prior {name}=VALUE±SIGMA" for name in fixable[:1]]
             cures += ["record the missing motion"] * (unseen_height(self.data.chain) is None)
             words = head_eye_words(needed, self.data.chain, self.data.joints)
             of_wheels = zip(NINE[6:], WHEEL_WORDS, strict=True)

@@ -172,7 +172,9 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
     return replace(
         solution,
         uncertainty=replace(
-            uncertainty_of(fit), asked=_asked_of(extraction, fit, inference, linear.parameters)
+            uncertainty_of(fit),
+            asked=_asked_of(extraction, fit, inference, linear.parameters),
+            with_prior=np.isin(NINE, list(inference.constraints.priors)),
         ),
         noisy=fit.noisy,
         constants=constants_of(fit),

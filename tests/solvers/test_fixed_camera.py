@@ -57,6 +57,19 @@ def test_what_turns_the_camera_in_its_mount_shows_no_height():
     assert stated.uncertainty.std[5] == pytest.approx(0.02, rel=0.05)
 
 
+def test_a_height_that_only_the_users_prior_states_is_named_so():
+    """A wide prior was "from the robot description", and refused where nothing is described."""
+    height, made = constraints_of([], ["t_z=0.55±0.3"], []), simulated("standard", NOISE, RGBD_ROBOT, 20, 0)
+    bare = replace(made, rig=replace(made.rig, nominal=replace(made.rig.nominal, T_h_reference=None)))
+    for extraction in (made, bare):
+        report = Report(Data(extraction), fitted(extraction, constraints=height))
+        assert re.search(r"0\.55 +± 0\.30 +m +from --prior", str(report))
+        assert "The camera's height is from --prior: no motion shows it" in report.verdict.reason
+    with pytest.raises(SolveError) as refusal:
+        fitted(bare)
+    assert "or --prior t_z=VALUE±SIGMA" in refusal.value.hint
+
+
 def rotation_off(extraction):
     """(3,) error of the camera's rotation in standard deviations."""
     found = maximum_likelihood(extraction)
