@@ -50,9 +50,14 @@ class Constraints:
     constants: tuple[str, ...] = ()
 
     @property
-    def given(self) -> tuple[str, ...]:
-        """Each constraint as its option and name, or group, for messages."""
-        return tuple(f"{flag} {name}" for flag, names in self._by_flag() for name in _in_groups(flag, names))
+    def given(self) -> dict[str, tuple[str, ...]]:
+        """Each constraint as its option and name, or group, for messages → the names that it stands for."""
+        valued = [name for name, value in self.fixed.items() if value is not None]  # groups take no values
+        return {f"--fix {name}": (name,) for name in valued} | {
+            f"{flag} {name}": _OPTIONS[flag][1].get(name, (name,))
+            for flag, names in self._by_flag()
+            for name in _in_groups(flag, [each for each in names if each not in valued])
+        }
 
     def _by_flag(self) -> tuple[tuple[str, Iterable[str]], ...]:
         return (("--fix", self.fixed), ("--prior", self.priors), ("--estimate", self.constants))

@@ -446,12 +446,12 @@ def _asked_of(
     """
     constraints, priors, known = inference.constraints, fit.lin.priors, fit.data.layout.names
     given = {
-        f"--{'prior' if name in constraints.priors else 'fix'} {name}": (
-            constraints.priors.get(name, (0.0, 0.0))[1],
-            {name: float(priors.mean[known.index(name)])},
+        option: (
+            constraints.priors.get(names[0], (0.0, 0.0))[1],
+            {name: float(priors.mean[known.index(name)]) for name in names if name in known},
         )
-        for name in known
-        if name in constraints.priors or name in constraints.fixed
+        for option, names in constraints.given.items()
+        if not {*names} & {*constraints.constants}
     }
     narrow = _narrower_priors(extraction, constraints)
     given |= {f"priors.{key}": (sigma, dict.fromkeys(names, 0.0)) for key, (sigma, names) in narrow.items()}

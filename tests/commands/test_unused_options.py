@@ -83,7 +83,14 @@ def test_a_group_that_the_robot_lacks():
     constraints = constraints_of([], [], ["stereo", "lenses"])
     with pytest.raises(ConfigError, match=r"^--estimate stereo: no effect"):
         constraints.check_shown(["focal_length"])
-    assert constraints.given == ("--estimate stereo", "--estimate lenses")
+    assert [*constraints.given] == ["--estimate stereo", "--estimate lenses"]
+
+
+def test_what_is_fixed_is_named_as_it_was_typed():
+    assert [*constraints_of(["head_eye"], [], []).given] == ["--fix head_eye"]
+    given = constraints_of(["rotation", "t_x=1", "t_y=0", "t_z=2"], ["separation=0.5±0.1"], []).given
+    assert [*given] == ["--fix t_x", "--fix t_y", "--fix t_z", "--fix rotation", "--prior separation"]
+    assert given["--fix rotation"] == ("r_x", "r_y", "r_z")
 
 
 def test_a_constant_without_effect_may_be_fixed_as_stated():
