@@ -11,7 +11,7 @@ import typer
 
 from mobilecal_cli import __version__
 from mobilecal_cli.calibrate import source_date
-from mobilecal_cli.commands.options import add_command
+from mobilecal_cli.commands.options import add_command, remove_earlier_junit
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, RecordingError, ResourceError
 from mobilecal_cli.files.interruption import naming_interruptions
 
@@ -71,6 +71,7 @@ def main() -> None:
     except MobilecalError as error:
         _fail(error)
     except _UsageError as error:
+        remove_earlier_junit(sys.argv[1:])
         _fail(_usage_error(error))
     except PermissionError as error:  # of a directory on the way to a file
         hint = "check the permissions of the file and of its directories"

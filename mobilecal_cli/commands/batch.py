@@ -44,7 +44,7 @@ def batch(
     import os
     from functools import partial
 
-    from mobilecal_cli.calibrate.batch import SUMMARIES, in_processes, on_cluster
+    from mobilecal_cli.calibrate.batch import AGAIN, SUMMARIES, in_processes, on_cluster
     from mobilecal_cli.calibrate.batch import batch as calibrate_each
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.model.text import listed
@@ -82,7 +82,7 @@ def batch(
         stopped = sum(row.exit_code == worst.exit_code for row in robots)
         raise kinds[worst.exit_code](
             f"{stopped} of {len(robots)} robots were not calibrated: {worst.name}: {worst.reason}",
-            "see the reason, then run the same command again: it calibrates only what is missing",
+            worst.hint or AGAIN,
         )
     reason = f"{len(robots)} of {len(robots)} robots passed."
     if failed:

@@ -19,6 +19,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, get_args, get_origin
 
@@ -107,6 +108,17 @@ def counts_of(option: str, text: str) -> tuple[int, int]:
             f"count the inner corners, for example {option} 9x6",
         )
     return int(match[1]), int(match[2])
+
+
+def remove_earlier_junit(arguments: Sequence[str]) -> None:
+    """Remove the JUnit files that a wrong command line names: an earlier run wrote them."""
+    named = [value for option, value in pairwise(arguments) if option == "--junit"]
+    named += [text.removeprefix("--junit=") for text in arguments if text.startswith("--junit=")]
+    if named:
+        from mobilecal_cli.report.junit import is_junit
+
+        for path in filter(is_junit, map(Path, named)):
+            path.unlink()
 
 
 @contextmanager

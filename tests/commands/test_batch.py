@@ -478,7 +478,7 @@ def test_everything_that_changes_a_result_is_in_its_fingerprint(tmp_path, counte
     assert json.dumps(RigConfig.model_json_schema()).count('"format": "path"') == 1  # head.urdf alone
 
 
-def test_a_record_of_another_version_is_none(tmp_path, counted):
+def test_a_record_of_another_version_is_none(tmp_path, counted, without_processes):
     """Its row was taken without its numbers."""
     source, out = urdf_robot(tmp_path), tmp_path / "out"
     (row,) = batch_module.batch(source, out, run=in_this_process)
@@ -488,6 +488,8 @@ def test_a_record_of_another_version_is_none(tmp_path, counted):
     record.write_text(json.dumps(content))
     (result,) = batch_module.batch(source, out, run=in_this_process)
     assert (result.verdict, result.exit_code) == ("ERROR", 7)
+    done = run("batch", source, "-o", out, cwd=tmp_path)
+    assert (done.code, "hint: add --force" in done.err, "same command" in done.err) == (7, True, False)
     (result,) = batch_module.batch(source, out, force=True, run=in_this_process)
     assert (result.verdict, result.skipped) == ("PASS", "")
 

@@ -161,6 +161,11 @@ def test_the_junit_file_of_an_earlier_run_does_not_stay(tmp_path, monkeypatch):
     assert not junit.exists()
     assert run("evaluate", "log.mcap", "--junit", junit, cwd=tmp_path).code == 2
     assert "the only path given" in junit.read_text(encoding="utf-8")
+    assert run("evaluate", "log.mcap", f"--junit={junit}", "--gatee", "a=1", cwd=tmp_path).code == 2
+    assert not junit.exists()
+    junit.write_text("precious", encoding="utf-8")
+    assert run("evaluate", "log.mcap", "--junit", junit, "--gatee", "a=1", cwd=tmp_path).code == 2
+    assert junit.read_text(encoding="utf-8") == "precious"
 
 
 def test_compare(result, tmp_path):
