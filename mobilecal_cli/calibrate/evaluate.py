@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.gaps import require_stations
-from mobilecal_cli.calibrate.load import OTHER_ROBOT, load, parameters_of, read_params
+from mobilecal_cli.calibrate.load import OTHER_ROBOT, is_archive, load, parameters_of, read_params
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, SolveError
 from mobilecal_cli.kinematics import unlike_joints
 from mobilecal_cli.likelihood.constants import table
@@ -18,7 +18,8 @@ from mobilecal_cli.model.text import listed
 from mobilecal_cli.report.evaluation import Evaluated, judge_evaluation
 from mobilecal_cli.report.motion import motion_gaps
 from mobilecal_cli.report.verdict import evaluated_figures, gate_checks, gates_of
-from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig
+from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, checked_settings
+from mobilecal_cli.rig.settings import board_settings
 from mobilecal_cli.solvers import clock_offsets, solve
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
 
@@ -52,6 +53,7 @@ def evaluate(
     """
     robot = read_params(params)
     limits = gates_of(gates, config.gates, evaluating=True)
+    config, notes = _with_board(config, robot, logs, params)
     extraction = load(logs, config, progress).extraction
     if not extraction.legs:
         raise ObservationError(
@@ -84,7 +86,21 @@ def evaluate(
     used = tuple(log.path for log in extraction.logs if log.sha256 in made_from)
     gated = gate_checks(limits, evaluated_figures(evaluation))
     verdict = judge_evaluation(evaluation, extraction, robot, own, cure, used, gated)
-    return Evaluated(evaluation, extraction, verdict, used, left_out)
+    return Evaluated(evaluation, extraction, verdict, used, (*notes, *left_out))
+
+
+def _with_board(
+    config: RigConfig, robot: CalibratedRobot, logs: Sequence[Path], params: Path
+) -> tuple[RigConfig, tuple[str, ...]]:
+    """The configuration with the calibration's board, if one camera needs it and nothing states it; and a note."""
+    board = robot.board
+    if board is None or config.board != UNCONFIGURED.board or any(map(is_archive, logs)):
+        return config, ()
+    settings = board_settings(board, [])
+    stated = checked_settings({"board": settings}, f"{params}: provenance.config: ").board
+    said = f"{board.columns} x {board.rows} inner corners, squares of {1e3 * settings['square_m']:g} mm"
+    note = f"The board is taken as the one of this calibration ({said}); state another one with --set board.square_m."
+    return config.model_copy(update={"board": stated}), (note,)
 
 
 def _but_corrected(robot: CalibratedRobot, extraction: Extraction) -> tuple[CalibratedRobot, tuple[str, ...]]:

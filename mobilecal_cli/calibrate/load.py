@@ -62,7 +62,7 @@ def load(logs: Sequence[Path], config: RigConfig, progress: Progress = silent, j
         ConfigError: an extraction was given together with recordings, or with settings that were used to make it, or
             a recording twice.
     """
-    archive = next(filter(_is_archive, logs), None)
+    archive = next(filter(is_archive, logs), None)
     if archive is None:
         for path in logs:
             with suppress(OSError):  # what cannot be read is refused where it is opened
@@ -79,7 +79,7 @@ def load(logs: Sequence[Path], config: RigConfig, progress: Progress = silent, j
     return Data(extraction, snapshots_from_npz(archive), config.gates)
 
 
-def _is_archive(path: Path) -> bool:
+def is_archive(path: Path) -> bool:
     """Whether a file is a zip file such as an .npz, also a truncated one."""
     with suppress(OSError):
         if path.is_file():

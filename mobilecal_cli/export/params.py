@@ -365,4 +365,5 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         cameras_sha256=checked.provenance.cameras_sha256,
         verdict="" if verdict is None else verdict.level,
         reasons=() if verdict is None else verdict.reasons,
+        board=settings.board.stated if len(settings.cameras.each) == 1 else None,
     )

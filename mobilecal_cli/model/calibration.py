@@ -11,7 +11,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, ReadOnly
 from mobilecal_cli.model.observations import LogSource
-from mobilecal_cli.model.rig import AssumedOdometry, HeadChain, Side, WheelGeometry
+from mobilecal_cli.model.rig import AssumedOdometry, Board, HeadChain, Side, WheelGeometry
 
 NINE = ("r_x", "r_y", "r_z", "t_x", "t_y", "t_z", "radius_right", "radius_left", "separation")
 WHEEL_WORDS = ("right wheel radius", "left wheel radius", "wheel separation")
@@ -95,6 +95,7 @@ class CalibratedRobot(ReadOnly):
         cameras_sha256: `CameraRig.digest` of the cameras as they were stated; "" if the file does not contain it.
         verdict: "PASS", "FAIL", "NOT ENOUGH" or "GATE FAILED"; "" if the file does not state it.
         reasons: why the verdict is not PASS, whole sentences.
+        board: the board of its recordings, if one camera took the scale from it.
     """
 
     parent_frame: str
@@ -116,6 +117,7 @@ class CalibratedRobot(ReadOnly):
     cameras_sha256: str = ""
     verdict: str = ""
     reasons: tuple[str, ...] = ()
+    board: Board | None = None
 
     @property
     def unobservable(self) -> BoolArray:

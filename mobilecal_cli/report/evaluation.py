@@ -59,24 +59,25 @@ class Evaluated:
         extraction: the recording's measurements.
         verdict: PASS, FAIL or NOT ENOUGH, with every check.
         used: names of the recordings that the calibration was made from.
-        left_out: notes on corrections of the calibration that do not apply to the recording, whole sentences.
+        remarks: notes on the board that is taken, and on corrections of the calibration that do not apply to the
+            recording; whole sentences.
     """
 
     evaluation: Evaluation
     extraction: Extraction
     verdict: Verdict
     used: tuple[str, ...]
-    left_out: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes if the calibration was made from some of the recordings, or does not apply in part; sentences."""
         if not self.used:
-            return self.left_out
+            return self.remarks
         which = f"{', '.join(self.used)} {'was' if len(self.used) == 1 else 'were'}"
         if len(self.extraction.logs) == 1:
             which = "This recording was"
-        return (f"{which} used for this calibration: the errors below are not independent.", *self.left_out)
+        return (f"{which} used for this calibration: the errors below are not independent.", *self.remarks)
 
 
 def judge_evaluation(
@@ -201,6 +202,8 @@ def _agreement(
     for key, name, whole, limit, unit in sorted(_QUANTITIES, key=lambda each: not hidden[each[2]].any()):
         if robot.odometry is not None and not key.startswith("camera"):
             name = f"{name} multiplier"  # nobody measured the wheels
+        if uncertainty.described[whole].any():
+            name = f"{name} without its height"  # which no motion shows
         x, C = change[whole], covariance[whole, whole]
         size = float(np.linalg.norm(x))
         along = x / size if size > 0 else np.eye(len(x))[0]

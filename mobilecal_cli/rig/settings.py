@@ -72,7 +72,8 @@ def wheel_settings(source: WheelSource) -> dict[str, Any]:
     return {key: value for key, value in settings.items() if value is not None}
 
 
-def _board(board: Board, measured_m: Sequence[float]) -> dict[str, Any]:
+def board_settings(board: Board, measured_m: Sequence[float]) -> dict[str, Any]:
+    """A board as rig.yaml states it, with the size of its squares if that was stated or measured."""
     settings: dict[str, Any] = {"columns": board.columns, "rows": board.rows, "square_m": board.square_m}
     if board.square_m is not None:
         settings["square_from"] = "stated"
@@ -91,7 +92,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
     rig, board = extraction.rig, extraction.board
     elsewhere = {name: f"{source.topic}: {source.where}" for name, source in rig.sources.elsewhere.items()}
     settings: dict[str, Any] = {
-        "board": _board(board, [o.square_m for o in extraction.observations]),
+        "board": board_settings(board, [o.square_m for o in extraction.observations]),
         "cameras": {
             **{name: _camera(rig, name) for name in rig.cameras.names if rig.sources.image[name]},
             **({} if rig.sources.layout == "separate" else {"layout": rig.sources.layout}),

@@ -47,6 +47,17 @@ def test_the_height_of_the_camera_is_as_described(made, name):
     assert report.fit.solution.uncertainty.described.tolist() == [k == 5 for k in range(9)]
 
 
+def test_an_evaluation_takes_the_board_of_a_calibration_with_one_camera_and_leaves_the_height_out(made):
+    """It asked for the size of squares that params.yaml has."""
+    log, folder, *_ = made["rgbd_odometry"]
+    evaluated = evaluate([log], folder / "params.yaml")
+    assert evaluated.verdict.level == "PASS"
+    assert "camera position without its height" in evaluated.verdict.reason
+    assert any("9 x 6 inner corners, squares of 80 mm" in note for note in evaluated.notes)
+    other = load_rig(None, {"board.square_m": 0.09})
+    assert evaluate([log], folder / "params.yaml", config=other).verdict.level == "FAIL"
+
+
 def test_four_wheels(made):
     _, folder, report, _ = made["skid_steer_pan"]
     assert (
