@@ -62,6 +62,7 @@ class Head:
         wheels: sources of the wheels, completed by the URDF.
         origin: source of the chain, in words.
         notes: remarks for the report.
+        prefix: what stands before the names of the URDF's links in the transforms.
     """
 
     chain: HeadChain
@@ -70,6 +71,11 @@ class Head:
     wheels: dict[Side, WheelSource]
     origin: str
     notes: tuple[str, ...]
+    prefix: str = ""
+
+    def fixed_pose(self, frame: str, other: str) -> FloatArray | None:
+        """(4, 4) pose of another frame of the recording in a frame, see `fixed_pose`."""
+        return fixed_pose(self.urdf, *(name.removeprefix(self.prefix) for name in (frame, other)))
 
 
 def head_of(
@@ -94,7 +100,7 @@ def head_of(
         chain = HeadChain(base, head, tuple(link.stated for link in config.head.chain), pan, tilt)
         _check_configured(config, chain)
         return Head(chain, None, Nominal(), wheels, "head.chain of the configuration", ())
-    origin, notes = "head.urdf of the configuration", []
+    origin, prefix, notes = "head.urdf of the configuration", "", []
     read = {*joint_state_names(description), *config.joints.fields}
     if urdf_text is None and not description.urdfs:
         origin = "transforms in the recording"
@@ -110,10 +116,16 @@ def head_of(
             if len(set(description.urdfs.values())) > 1:
                 notes.append(f"The recording contains several URDFs. The one on {topic} is used.")
         urdf = parse_urdf(urdf_text)
+        prefix = _frame_prefix(urdf, description.transforms)
+        camera_frame = camera_frame.removeprefix(prefix)
+        static = {
+            (parent.removeprefix(prefix), child.removeprefix(prefix)): T
+            for (parent, child), T in description.transforms.items()
+        }
         # A camera's driver publishes its own frames.
         fixed = {
             f"fixed transform to {name}": joint
-            for name, joint in urdf_of_transforms(description.transforms).joints.items()
+            for name, joint in urdf_of_transforms(static).joints.items()
             if joint.kind == "fixed" and name not in urdf.links
         }
         urdf = replace(urdf, joints={**urdf.joints, **fixed})
@@ -147,7 +159,7 @@ def head_of(
     chain = replace(chain, pan=pan, tilt=tilt)
     T_h_c = None if camera_frame == head else fixed_pose(urdf, head, camera_frame)  # no frame of its own
     drawn = Nominal(T_h_c, nominal_wheels(urdf, wheel_joints, base))
-    return Head(chain, urdf, drawn, wheels, origin, (*notes, *offset_notes))
+    return Head(chain, urdf, drawn, wheels, origin, (*notes, *offset_notes), prefix)
 
 
 def _moving_transforms(description: RobotDescription, camera_frame: str) -> Urdf:
@@ -404,6 +416,17 @@ def outside_chain(chain: HeadChain, description: RobotDescription) -> list[str]:
     return [name for word in missing for name in joint_state_names(description) if word in words(name)]
 
 
+def _frame_prefix(urdf: Urdf, static: Iterable[tuple[str, str]]) -> str:
+    """What stands before all names of the links in the transforms: the `frame_prefix` of robot_state_publisher."""
+    prefixes = {
+        parent.removesuffix(joint.parent)
+        for parent, child in static
+        for joint in urdf.joints.values()
+        if parent.endswith(joint.parent) and child == parent.removesuffix(joint.parent) + joint.child
+    }
+    return prefixes.pop() if len(prefixes) == 1 else ""
+
+
 def joint_sources(config: RigConfig, description: RobotDescription, head: Head) -> dict[str, JointSource]:
     """The chain's joints → their joint-state topics, or the sources of those that are read elsewhere.
 
@@ -433,7 +456,7 @@ def joint_sources(config: RigConfig, description: RobotDescription, head: Head) 
     for name, kind in kinds.items():
         joint = drawn.get(name)
         if joint is not None and joint.mimic is None and name not in told:
-            ends = joint.parent, joint.child, joint.T_parent_child
+            ends = head.prefix + joint.parent, head.prefix + joint.child, joint.T_parent_child
             sources[name] = JointTransform(tf[0], *ends, joint.axis, kind)
     if topic is not None:
         require_topic("joints.topic", topic, stated, "joint states")

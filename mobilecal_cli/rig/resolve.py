@@ -186,7 +186,7 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
         lacks[:] = [lack for lack in lacks if lack[0] != "head chain" or isinstance(lack[1], RecordingError)]
     cameras: CameraRig | None = None
     if images and len(infos) == len(images):
-        drawn = partial(fixed_pose, None if head is None else head.urdf)
+        drawn = partial(fixed_pose, None) if head is None else head.fixed_pose
         cameras = tried("camera infos", lambda: camera_rig(infos, rectified, config, drawn))
     joints: Mapping[str, JointSource] = {}
     if head is not None:

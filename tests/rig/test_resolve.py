@@ -794,6 +794,19 @@ def test_a_camera_driver_publishes_the_frames_that_the_urdf_lacks():
     assert rig.chain.joints == ("head_pan_joint", "head_tilt_joint")
 
 
+@pytest.mark.parametrize("prefix", ["", "robot1/"])
+def test_transforms_have_the_frame_prefix_of_robot_state_publisher(prefix):
+    """Joints that are in the transforms alone were refused, and so was a camera on the base."""
+    urdf = AT_BASE.replace("</robot>", joint_of("mount", "tilt", "stereo_left_optical") + "</robot>")
+    static = {(f"{prefix}tilt", f"{prefix}stereo_left_optical"): moving((0, 0, 1), np.zeros(2))}
+    log = description(urdf=urdf, extra=(TF,), joint_names={"/joint_states": JOINTS[:2]}, transforms=static)
+    infos = {topic: replace(own, frame_id=prefix + own.frame_id) for topic, own in log.infos.items()}
+    rig, _ = resolve_rig(RigConfig(), replace(log, infos=infos))
+    ends = [(joint.parent, joint.child) for joint in rig.sources.elsewhere.values()]
+    assert ends == [(f"{prefix}base_link", f"{prefix}pan"), (f"{prefix}pan", f"{prefix}tilt")]
+    assert rig.nominal.T_h_reference is not None
+
+
 def joint_of(name, parent, child, kind="fixed"):
     return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/></joint>'
 
