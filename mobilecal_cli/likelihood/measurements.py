@@ -30,6 +30,7 @@ LEAST_DEPTH_M = 0.01  # of a point that a camera may show
 _RATE_NS = 40_000_000  # rates of wheels are differences over this time
 _SMOOTH_NS = 80_000_000  # rates in an image are differences of means over about this time
 _SMOOTHER = np.geomspace(0.25, 2.5, 41)  # times it: those that are compared
+_NO_RATE = 1e-30  # square of rates, (rad/s)^2, without effect: a joint may stand still
 _LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: keeps the matrices regular
 _AT_REST_RAD = 1e-3  # a wheel that turns less between two stations stands still
 
@@ -56,7 +57,7 @@ def _smooth_width_ns(track: Track, times_ns: IntArray) -> int:
     """
     widths = np.array([0.5, 1.0, 2.0, 4.0])
     rates = [_smooth_rate(track, times_ns, int(w * _SMOOTH_NS)) for w in widths]
-    apart = np.array([np.mean((b - a) ** 2) for a, b in pairwise(rates)]) + np.finfo(np.float64).tiny
+    apart = np.array([np.mean((b - a) ** 2) for a, b in pairwise(rates)]) + _NO_RATE
     powers = np.array([-3.0, 1.0, 4.0])
     terms = [7.0, 0.21, 0.56] * widths[1:, None] ** powers
     errors = _SMOOTHER[:, None] ** powers @ nnls(terms / apart[:, None], np.ones(len(apart)))[0]

@@ -180,6 +180,14 @@ def test_rates_in_images_hardly_see_steps_of_the_encoders(exact, step_rad, share
     assert error < share * over_40_ms + 1e-3
 
 
+def test_a_joint_that_reads_zero_all_the_time_has_a_rate(exact):
+    """A recording in motion with such a joint ended with a traceback."""
+    still = tuple(Track(track.time_ns, np.zeros(len(track.time_ns))) for track in exact.joint_tracks[0])
+    rates = dataset_of(replace(exact, joint_tracks=(still,))).rates(0.0, 0.0, in_images=True)
+    assert not rates[:, :-2].any()
+    assert np.isfinite(rates).all()
+
+
 def test_a_robot_in_motion_with_noisy_joints_passes():
     """At a quarter of the verdict's limit: it was refused, or a board that nobody touched had moved by 1.8 m."""
     case = imperfect.Case(motion="moving", noise=replace(imperfect.USUAL, joint_rad=np.radians(0.1))).drawn()
