@@ -32,6 +32,7 @@ from mobilecal_cli.model import (
     Rig,
     SensorMotion,
     Sources,
+    Track,
     WheelGeometry,
     WheelSource,
     WheelTrack,
@@ -42,6 +43,8 @@ _TARGET: Final = Board(4, 3, 0.1)  # points of the target, for errors in mm
 _NO_ROTATION = 1e-3  # R^T R of a rotation with four digits differs less from the identity
 _FARTHEST_M = 100.0  # of a target or a sensor
 _WHEELS = "the radius of the right and the left wheel, and their separation, m"
+_AROUND_S = 0.25  # a pose during which the wheels turn is one in motion, if they are read so often
+_STILL_RAD = 0.005
 _NO_CAMERA = Camera("sensor", 640, 480, np.diag([500.0, 500.0, 1.0]), np.zeros(0), "none")
 
 
@@ -50,7 +53,8 @@ class TargetPose:
     """A target that stands still, as a sensor on the head saw it.
 
     Attributes:
-        time_s: when, by the wheels' clock.
+        time_s: when, by the wheels' clock. Where the wheels turn at a pose, and are read several times in half
+            a second, the offset of this clock is estimated.
         T_c_k: (4, 4) target coordinates to sensor coordinates, m.
         covariance: (6, 6) of T_c_k, rotation (rad) before translation (m), left perturbation: T = exp(delta) T_c_k.
             Its scale is estimated: only ratios matter where many poses were measured. Components with a standard
@@ -128,7 +132,10 @@ def from_poses(
         poses = all_of(f"{where}: poses", drive.poses, TargetPose, "a list of mc.TargetPose")
         in_order = sorted(poses, key=lambda pose: number_of(f"{where}: time_s of a pose", pose.time_s))
         tracks.append(_wheels(where, drive, [pose.time_s for pose in in_order]))
-        observations += [_observed(log, k, pose, chain) for k, pose in enumerate(in_order)]
+        observations += [
+            replace(_observed(log, k, pose, chain), at_rest=not _in_motion(drive, pose.time_s))
+            for k, pose in enumerate(in_order)
+        ]
     if not observations:
         raise ConfigError("drives: no poses", "give drives with poses of a target")
     nowhere, wheel = {"camera": ""}, WheelSource("measured")
@@ -140,7 +147,12 @@ def from_poses(
         {},
         levels,
     )
-    return Extraction(rig, _TARGET, tuple(observations), tuple(tracks), (), (), (), {})
+    # Readings at the poses alone do not show how the joints move, so only the clock of the wheels is estimated.
+    unknown = tuple(
+        tuple(Track(track.right.time_ns[[0, -1]], np.zeros(2)) for _ in chain.joints) for track in tracks
+    )
+    joint_tracks = () if all(o.at_rest for o in observations) else unknown
+    return Extraction(rig, _TARGET, tuple(observations), tuple(tracks), (), (), (), {}, joint_tracks)
 
 
 def from_motions(
@@ -244,6 +256,18 @@ def _wheels(where: str, drive: Drive, times_s: Sequence[float]) -> WheelTrack:
             "give the times of poses by the wheels' clock, in s",
         )
     return WheelTrack.at_same_times(np.round(time_s * 1e9).astype(np.int64), right, left)
+
+
+def _in_motion(drive: Drive, time_s: float) -> bool:
+    """Whether the wheels turn around a time; not where they are read too rarely to tell."""
+    times_s = np.asarray(drive.wheel_time_s)
+    first, after = np.searchsorted(times_s, [time_s - _AROUND_S, time_s + _AROUND_S])
+    turned = [
+        np.ptp(np.asarray(side)[first:after])
+        for side in (drive.right_rad, drive.left_rad)
+        if after > first + 2
+    ]
+    return max(turned, default=0.0) > _STILL_RAD
 
 
 def _rigid(where: str, T: FloatArray) -> FloatArray:

@@ -655,6 +655,9 @@ _CONVENTIONS: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     _BODY: lambda T: T @ _IN_BODY,
     "the inverse, the pose of the head in the camera": se3.inverse,
     "the pose of the head in the camera's body frame (x forward)": lambda T: se3.inverse(T) @ _IN_BODY,
+    "the pose of an optical frame (z forward), not of the frame of the measured poses (x forward)": (
+        lambda T: T @ se3.inverse(_IN_BODY)
+    ),
 }
 
 
@@ -666,7 +669,7 @@ def nominal_pose(case: Case, metric: Metric) -> Iterator[Check]:
     """
     rig, pose, limit = case.extraction.rig, case.solution.T_h_reference, 3.0
     stated, head, frame = rig.nominal.T_h_reference, rig.chain.head_frame, rig.cameras.of_reference.frame_id
-    if stated is None or case.extraction.measured:
+    if stated is None:
         return
 
     def apart(T: FloatArray) -> tuple[float, FloatArray]:
@@ -682,8 +685,12 @@ def nominal_pose(case: Case, metric: Metric) -> Iterator[Check]:
     likely = min(others, key=lambda said: others[said])
     if others[likely] > sigmas / 3:
         likely = ""
-    why = f"The pose of the camera differs from nominal.head_eye {by}."
+    given = "nominal.head_eye"
     cure = f"State the pose of {frame}, the optical frame (x right, z forward), in {head}."
+    if case.extraction.measured:
+        given = "T_v_c" if case.extraction.motions else "T_h_c"
+        cure = f"Give the pose of the frame of the measured poses in {head} as {given}."
+    why = f"The pose of the camera differs from {given} {by}."
     if rig.setting_sources.get("nominal head_eye") == "URDF":
         why = f"The pose of the camera differs from that of {frame} in the URDF or the transforms {by}."
         cure = f"Check that the images are of the frame {frame}, and its pose in {head} (m)."
@@ -697,7 +704,7 @@ def nominal_pose(case: Case, metric: Metric) -> Iterator[Check]:
                 "description."
             )
     elif likely:
-        why = f"nominal.head_eye looks like {likely}: it differs from the result {by}."
+        why = f"{given} looks like {likely}: it differs from the result {by}."
     uncertainty, height = case.solution.uncertainty, ""
     taken = uncertainty is not None and (uncertainty.described & ~uncertainty.with_prior).any()
     if taken and distance_m > limit * NINE_SIGMAS[3]:

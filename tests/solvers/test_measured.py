@@ -14,7 +14,7 @@ from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.kinematics.wheels import Increments
 from mobilecal_cli.measured import Drive, TargetPose, from_motions, from_poses
 from mobilecal_cli.model import Parameters, SensorMotion, WheelGeometry
-from mobilecal_cli.simulate.robot import PAPER_ROBOT
+from mobilecal_cli.simulate.robot import FIXED_CAMERA_ROBOT, PAPER_ROBOT
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.solve import solve
@@ -28,16 +28,21 @@ SIGMA = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])  # rad, m
 
 
 @cache
-def drive(seed, stated=1.0, times=1.0):
-    """A pan-tilt robot's poses of a target, with noise of `times` `SIGMA`; the covariance is stated with another scale."""
-    robot, random, sigma = PAPER_ROBOT, np.random.default_rng(seed), times * SIGMA
+def drive(seed, stated=1.0, times=1.0, late_s=None, robot=PAPER_ROBOT):
+    """A pan-tilt robot's poses of a target, with noise of `times` `SIGMA`; the covariance is stated with another scale.
+
+    They are taken at stops, or in motion with stamps that are late.
+    """
+    random, sigma = np.random.default_rng(seed), times * SIGMA
     exact = simulated("standard", Noise(0, 0.003, 0, 1e-4), robot, 20, seed)
+    if late_s is not None:
+        exact = simulated("moving", Noise(0, 0.003, 0, 1e-4), robot, 12, seed, images=40)
     covariance = np.diag((stated * sigma) ** 2)
     poses = []
     for o in exact.observations:
         joints = dict(zip(chain_of(robot).joints, o.joints.tolist(), strict=True))
         T_c_k = se3.exp(random.normal(size=6) * sigma) @ o.T_c_k
-        poses.append(TargetPose(o.time_ns / 1e9, T_c_k, covariance, joints))
+        poses.append(TargetPose(o.time_ns / 1e9 + (late_s or 0.0), T_c_k, covariance, joints))
     (track,) = exact.wheels
     return robot, Drive(poses, track.time_ns / 1e9, track.right_rad, track.left_rad)
 
@@ -176,6 +181,26 @@ def test_a_target_that_moves_is_named_with_its_way_along_the_floor():
     assert judge(solution, extraction).level == "PASS"
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.05])
+def test_poses_in_motion_show_the_clock_of_the_wheels(late_s):
+    """Poses that were stamped 20 ms late were wheels that slip, or were inverted, and a FAIL."""
+    robot, recorded = drive(2, late_s=late_s)
+    nominal = robot.T_h_c @ se3.exp(np.array([0.02, -0.03, 0.02, 0.01, 0.01, -0.01]))
+    extraction = from_poses([recorded], tuple(robot.wheels.vector * 1.01), chain_of(robot), nominal)
+    solution = solve(extraction)
+    assert solution.constants["time_wheels"].value == pytest.approx(-late_s, abs=0.005)
+    assert np.abs(off(solution, parameters_of(robot))).max() < 4
+    assert judge(solution, extraction).level == "PASS"
+
+
+def test_wheels_that_are_read_at_the_stops_alone_rest_there():
+    robot, recorded = drive(3)
+    times_s = np.array([pose.time_s for pose in recorded.poses])
+    rare = Drive(recorded.poses, times_s, 3.0 * times_s, 2.0 * times_s)
+    extraction = from_poses([rare], tuple(robot.wheels.vector), chain_of(robot))
+    assert all(o.at_rest for o in extraction.observations)
+
+
 @pytest.mark.parametrize("times", [1.0, 8.0])
 def test_the_noise_of_poses_is_no_error_of_the_calibration(times):
     """It was one: honest poses of 5 mrad and 10 mm were a FAIL, "depth noise alone: 0.0 mm"."""
@@ -285,6 +310,48 @@ def on_a_circle(T_v_c, seed):
     reading = np.concatenate([at_m[:1], at_m, at_m[-1:]]) / 0.1
     right, left = reading * (1 + curvature * 0.2), reading * (1 - curvature * 0.2)
     return Drive(poses, np.arange(18.0), right, left)
+
+
+OPTICAL = se3.transform(se3.from_rpy(np.radians([-90.0, 0.0, -90.0])), np.zeros(3))  # in the body frame
+
+
+@pytest.mark.parametrize(
+    ("robot", "change", "level", "said"),
+    [
+        (
+            PAPER_ROBOT,
+            se3.inverse,
+            "PASS",
+            "T_h_c looks like the inverse, the pose of the head in the camera",
+        ),
+        (
+            PAPER_ROBOT,
+            lambda T: T @ se3.inverse(OPTICAL),
+            "PASS",
+            "looks like the pose of the camera's body frame",
+        ),
+        (
+            PAPER_ROBOT,
+            lambda T: T @ OPTICAL,
+            "PASS",
+            "T_h_c looks like the pose of an optical frame (z forward), not",
+        ),
+        (
+            FIXED_CAMERA_ROBOT,
+            se3.inverse,
+            "FAIL",
+            "The camera's height, which no motion shows, is taken from it.",
+        ),
+    ],
+)
+def test_a_nominal_pose_of_another_frame_is_told(robot, change, level, said):
+    """It was not, and the height of a sensor on the base is taken from it: half a meter off, with a PASS."""
+    robot, recorded = drive(3, robot=robot)
+    nominal = change(robot.T_h_c)
+    extraction = from_poses([recorded], tuple(robot.wheels.vector), chain_of(robot), nominal)
+    verdict = judge(solve(extraction), extraction)
+    assert verdict.level == level
+    assert said in f"{verdict.reason} {verdict.next_step}"
 
 
 @pytest.mark.parametrize("seed", range(3))
