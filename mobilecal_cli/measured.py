@@ -93,7 +93,8 @@ def from_poses(
 ) -> Extraction:
     """Measurements for `solve` from the poses of a target.
 
-    Wheels are as exact as the scale of the poses, which nothing else shows.
+    Wheels are as exact as the scale of the poses, which nothing else shows. Of several poses at one stop, their median
+    counts, once.
 
     Args:
         drives: one or more; each has a target of its own, which stands still meanwhile.
@@ -126,16 +127,21 @@ def from_poses(
         if name not in known:
             raise ConfigError(f"noise: {name}: no such noise level", f"noise levels: {', '.join(known)}")
         levels[name] = SIGMA.check(f"noise: {name}", value)
-    observations, tracks = [], []
+    observations, tracks, notes = [], [], []
     for log, drive in enumerate(all_of("drives", drives, Drive, "a list of mc.Drive")):
         where = f"drive {log + 1}"
         poses = all_of(f"{where}: poses", drive.poses, TargetPose, "a list of mc.TargetPose")
         in_order = sorted(poses, key=lambda pose: number_of(f"{where}: time_s of a pose", pose.time_s))
         tracks.append(_wheels(where, drive, [pose.time_s for pose in in_order]))
+        checked = [_checked(f"{where}, pose {k}", pose, chain) for k, pose in enumerate(in_order, 1)]
+        stations = _at_stops(drive, checked)
         observations += [
-            replace(_observed(log, k, pose, chain), at_rest=not _in_motion(drive, pose.time_s))
-            for k, pose in enumerate(in_order)
+            _observed(log, k, pose, not _in_motion(drive, pose.time_s)) for k, pose in enumerate(stations)
         ]
+        if len(stations) < len(checked):
+            notes.append(
+                f"{where}: of several poses at one stop, the median counts: {len(checked)} are {len(stations)}."
+            )
     if not observations:
         raise ConfigError("drives: no poses", "give drives with poses of a target")
     nowhere, wheel = {"camera": ""}, WheelSource("measured")
@@ -152,7 +158,9 @@ def from_poses(
         tuple(Track(track.right.time_ns[[0, -1]], np.zeros(2)) for _ in chain.joints) for track in tracks
     )
     joint_tracks = () if all(o.at_rest for o in observations) else unknown
-    return Extraction(rig, _TARGET, tuple(observations), tuple(tracks), (), (), (), {}, joint_tracks)
+    return Extraction(
+        rig, _TARGET, tuple(observations), tuple(tracks), (), tuple(notes), (), {}, joint_tracks
+    )
 
 
 def from_motions(
@@ -258,16 +266,54 @@ def _wheels(where: str, drive: Drive, times_s: Sequence[float]) -> WheelTrack:
     return WheelTrack.at_same_times(np.round(time_s * 1e9).astype(np.int64), right, left)
 
 
+def _read_often(drive: Drive, time_s: float) -> bool:
+    """Whether the wheels are read often enough to tell if they turn around a time."""
+    begin, end = np.searchsorted(drive.wheel_time_s, [time_s - _AROUND_S, time_s + _AROUND_S])
+    return bool(end > begin + 2)
+
+
+def _turned_rad(drive: Drive, begin_s: float, end_s: float) -> float:
+    """The longest way of a wheel in an interval."""
+    times_s = np.asarray(drive.wheel_time_s)
+    at_s = [begin_s, *times_s[(times_s > begin_s) & (times_s < end_s)], end_s]
+    return max(float(np.ptp(np.interp(at_s, times_s, side))) for side in (drive.right_rad, drive.left_rad))
+
+
 def _in_motion(drive: Drive, time_s: float) -> bool:
     """Whether the wheels turn around a time; not where they are read too rarely to tell."""
-    times_s = np.asarray(drive.wheel_time_s)
-    first, after = np.searchsorted(times_s, [time_s - _AROUND_S, time_s + _AROUND_S])
-    turned = [
-        np.ptp(np.asarray(side)[first:after])
-        for side in (drive.right_rad, drive.left_rad)
-        if after > first + 2
-    ]
-    return max(turned, default=0.0) > _STILL_RAD
+    turned_rad = _turned_rad(drive, time_s - _AROUND_S, time_s + _AROUND_S)
+    return _read_often(drive, time_s) and turned_rad > _STILL_RAD
+
+
+def _at_stops(drive: Drive, poses: Sequence[TargetPose]) -> list[TargetPose]:
+    """Poses in order, with those at one stop as one: their errors there are not independent.
+
+    It is the median of each component, so that a few wrong ones do not count.
+    """
+    stops: list[list[TargetPose]] = []
+    for pose in poses:
+        last = stops[-1][0] if stops else None
+        if (
+            last is not None
+            and all(abs(pose.joints[name] - last.joints[name]) < _STILL_RAD for name in last.joints)
+            and all(
+                _read_often(drive, each.time_s) and not _in_motion(drive, each.time_s)
+                for each in (last, pose)
+            )
+            and _turned_rad(drive, last.time_s, pose.time_s) < _STILL_RAD
+        ):
+            stops[-1].append(pose)
+        else:
+            stops.append([pose])
+    return [_median(stop) for stop in stops]
+
+
+def _median(poses: Sequence[TargetPose]) -> TargetPose:
+    """The median of poses at one stop."""
+    first = poses[len(poses) // 2]
+    apart = [se3.log(pose.T_c_k @ se3.inverse(first.T_c_k)) for pose in poses]
+    T_c_k = se3.exp(np.median(apart, axis=0)) @ first.T_c_k
+    return replace(first, T_c_k=T_c_k, covariance=np.mean([pose.covariance for pose in poses], axis=0))
 
 
 def _rigid(where: str, T: FloatArray) -> FloatArray:
@@ -306,8 +352,12 @@ def _require_positive(where: str, covariance: FloatArray | None, size: int, hint
         raise ConfigError(f"{where}: the covariance is not positive definite, or not {size} x {size}", hint)
 
 
-def _observed(log: int, station: int, pose: TargetPose, chain: HeadChain) -> Observation:
-    where = f"drive {log + 1}, pose {station + 1}"
+def _checked(where: str, pose: TargetPose, chain: HeadChain) -> TargetPose:
+    """A pose with the readings of the chain, in order.
+
+    Raises:
+        ConfigError: see `from_poses`.
+    """
     joints = by_name(f"{where}: joints", pose.joints)
     missing = [name for name in chain.joints if name not in joints]
     if missing:
@@ -326,24 +376,29 @@ def _observed(log: int, station: int, pose: TargetPose, chain: HeadChain) -> Obs
         covariance[wide], covariance[:, wide] = 0.0, 0.0
         covariance[wide, wide] = NOT_MEASURED**2
     _require_positive(where, covariance, 6, "give what is not measured an infinite variance")
+    return TargetPose(pose.time_s, T_c_k, covariance, readings)
+
+
+def _observed(log: int, station: int, pose: TargetPose, at_rest: bool) -> Observation:
     assert _TARGET.square_m is not None
     points = _TARGET.grid() * _TARGET.square_m
     nowhere = Corners(np.zeros((len(points), 2)), 1.0, 1, np.zeros(len(points), dtype=np.bool_))
-    points_c = se3.act(T_c_k[None], points)[0]
-    of_points = covariance.copy()  # what was not measured counts as exact
+    points_c = se3.act(pose.T_c_k[None], points)[0]
+    of_points = pose.covariance.copy()  # what was not measured counts as exact
+    wide = np.diag(of_points) >= NOT_MEASURED**2
     of_points[wide], of_points[:, wide] = 0.0, 0.0
     return Observation(
         log=log,
         station=station,
         time_ns=round(pose.time_s * 1e9),
-        at_rest=True,
-        joints=np.array(list(readings.values())),
-        joints_std=np.zeros(len(readings)),
+        at_rest=at_rest,
+        joints=np.array(list(pose.joints.values())),
+        joints_std=np.zeros(len(pose.joints)),
         views=(nowhere,),
         points_c=points_c,
         points_cov=_points_cov(points_c, of_points),
-        T_c_k=T_c_k,
-        T_c_k_cov=covariance,
+        T_c_k=pose.T_c_k,
+        T_c_k_cov=pose.covariance,
         square_m=_TARGET.square_m,
         reprojection_px=0.0,
     )

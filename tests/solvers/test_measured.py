@@ -193,6 +193,25 @@ def test_poses_in_motion_show_the_clock_of_the_wheels(late_s):
     assert judge(solution, extraction).level == "PASS"
 
 
+def test_several_poses_at_one_stop_are_one():
+    """Their errors are not independent: results were off by 4.5 sigmas, or the camera had moved on the head."""
+    robot, recorded = drive(3)
+    flipped = se3.exp(np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    poses = [
+        replace(pose, time_s=pose.time_s + late_s, T_c_k=pose.T_c_k @ turn)
+        for pose in recorded.poses
+        for late_s, turn in ((-0.02, np.eye(4)), (0.0, flipped), (0.02, np.eye(4)))
+    ]
+    once, often = (
+        from_poses([replace(recorded, poses=each)], tuple(robot.wheels.vector), chain_of(robot))
+        for each in (recorded.poses, poses)
+    )
+    assert (len(once.observations), len(often.observations)) == (20, 20)
+    assert often.notes == ("drive 1: of several poses at one stop, the median counts: 60 are 20.",)
+    for one, several in zip(once.observations, often.observations, strict=True):
+        assert several.T_c_k == pytest.approx(one.T_c_k, abs=1e-9)
+
+
 def test_wheels_that_are_read_at_the_stops_alone_rest_there():
     robot, recorded = drive(3)
     times_s = np.array([pose.time_s for pose in recorded.poses])
