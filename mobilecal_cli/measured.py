@@ -41,6 +41,7 @@ from mobilecal_cli.ranges import SIGMA, number_of, of_parameter
 
 _TARGET: Final = Board(4, 3, 0.1)  # points of the target, for errors in mm
 _NO_ROTATION = 1e-3  # R^T R of a rotation with four digits differs less from the identity
+_LEAST_SIGMA = 1e-6  # rad, m: no pose is measured so exactly; unknown covariances are often zero
 _FARTHEST_M = 100.0  # of a target or a sensor
 _WHEELS = "the radius of the right and the left wheel, and their separation, m"
 _AROUND_S = 0.25  # a pose during which the wheels turn is one in motion, if they are read so often
@@ -58,7 +59,7 @@ class TargetPose:
         T_c_k: (4, 4) target coordinates to sensor coordinates, m.
         covariance: (6, 6) of T_c_k, rotation (rad) before translation (m), left perturbation: T = exp(delta) T_c_k.
             Its scale is estimated: only ratios matter where many poses were measured. Components with a standard
-            deviation above 100 were not measured.
+            deviation above 100 were not measured; below 1e-6, none is possible.
         joints: name → reading of each joint of the head, rad or m.
     """
 
@@ -347,9 +348,13 @@ def _require_positive(where: str, covariance: FloatArray | None, size: int, hint
         covariance is None
         or covariance.shape != (size, size)
         or not np.isfinite(covariance).all()
-        or not np.all(np.linalg.eigvalsh((covariance + covariance.T) / 2) > 0)
+        or not np.all(np.linalg.eigvalsh((covariance + covariance.T) / 2) > _LEAST_SIGMA**2)
     ):
-        raise ConfigError(f"{where}: the covariance is not positive definite, or not {size} x {size}", hint)
+        raise ConfigError(
+            f"{where}: the covariance is not positive definite, not {size} x {size}, or of a standard deviation below "
+            f"{_LEAST_SIGMA:g} rad or m",
+            f"{hint}; one that is unknown, standard deviations that are likely, such as 0.01 rad and 0.01 m",
+        )
 
 
 def _checked(where: str, pose: TargetPose, chain: HeadChain) -> TargetPose:

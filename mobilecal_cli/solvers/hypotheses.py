@@ -188,6 +188,12 @@ def _poses(readings: Readings) -> Iterator[Hypothesis]:
             "give T_c_k, which takes target coordinates to sensor coordinates",
             lambda r: replace(r, T_c_k=se3.inverse(r.T_c_k)),
         )
+    if readings.measured and readings.rig.chain.joints:
+        yield Hypothesis(
+            "the measured poses are those in the frame of the base, not of the sensor",
+            "give T_c_k, which takes target coordinates to coordinates of a sensor on the head",
+            lambda r: replace(r, T_c_k=se3.inverse(head_pose(r.rig.chain, r.joints)) @ r.T_c_k),
+        )
 
 
 def interruptions(readings: Readings) -> Iterator[Hypothesis]:

@@ -60,6 +60,10 @@ _PROMISING = 10 * FITS  # linear solutions beyond this are not refined
 _MOST_LEGS = 40  # that are scored, spread over the recording: the time does not grow with its length
 _OUTLIERS_IN_PART = 2  # with so many stations of the other part, one may still fit
 _CHANGED_SCALE = 0.05  # of a wheel's readings: less is noise of the linear method on a few stations
+_CARRIED, _LESS = (
+    0.05,
+    10.0,
+)  # the way of a base that carries the board, over the distance; by such smaller wheels
 _SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
 # Two boards by nominal values: how near to its place each is and how far apart they are, as shares; least changes
 _SAME_BOARD, _BOARDS_APART, _FEWEST_CHANGES = 0.3, 0.1, 3
@@ -81,13 +85,15 @@ class _Score:
         misfit, of_all: rms of the corners' transfer error over the distance to the board, of most legs and of all.
         turned_rad: the camera's turn from its nominal rotation.
         wheels: those of the fit.
-        possible: all of them positive, or motion that does not show all parameters.
+        carried: with these wheels, the base stays where it is, and the board with it.
+        possible: all of them positive and not so, or motion that does not show all parameters.
     """
 
     misfit: float
     of_all: float
     turned_rad: float
     wheels: WheelGeometry
+    carried: bool
     possible: bool
 
 
@@ -142,10 +148,21 @@ class Search:
             return None
         return other_wheels(self._as_is.wheels, self._readings.rig.nominal.wheels)
 
+    @property
+    def carried(self) -> Diagnosis | None:
+        """The board stays where it is against the base, while the wheels turn."""
+        if not any(score.carried and score.misfit < FITS for score in self._scores_as_is):
+            return None
+        target = "target" if self._readings.measured else "board"
+        return Diagnosis(
+            f"the {target} stays where it is against the base, but the wheels turn",
+            f"check that the {target} does not move with the robot, and that the wheels are on the ground",
+        )
+
     @cached_property
     def of_whole(self) -> Diagnosis | None:
         """The mistake in all readings; None if they fit, or if none of the known ones explains them."""
-        at_rest = _same_view(self._readings)
+        at_rest = _same_view(self._readings) or self.carried
         if at_rest is None and self._fits:
             return self.other_wheels
         return (
@@ -255,9 +272,12 @@ class Search:
             X = parameters.T_h_c if nominal.T_h_c is None else nominal.T_h_c
             turn = X[:3, :3].T @ parameters.T_h_c[:3, :3]
             of_all = point_rms_m(pairs, parameters) / distance_m
-            possible = not shown or parameters.wheels.positive
+            radii_m = np.abs(parameters.wheels.vector[:2])
+            carried = shown and float((pairs.steps.totals_rad * radii_m).max()) < _CARRIED * distance_m
+            carried &= nominal.wheels is None or bool(radii_m.max() * _LESS < nominal.wheels.vector[:2].min())
+            possible = not shown or (parameters.wheels.positive and not carried)
             turned_rad = float(np.linalg.norm(se3.log_so3(turn)))
-            scores.append(_Score(misfit, of_all, turned_rad, parameters.wheels, possible))
+            scores.append(_Score(misfit, of_all, turned_rad, parameters.wheels, carried, possible))
         return sorted(scores, key=lambda score: score.misfit)
 
     def _limit(self, fits: float) -> float:

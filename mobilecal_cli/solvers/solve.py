@@ -38,6 +38,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
     largest_mean_square,
 )
+from mobilecal_cli.ranges import of_parameter
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.findings import (
     constants_of,
@@ -147,7 +148,7 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
     suggested = suggestions(fit.lin, fit.covariance)
     fit = pool_recordings(fit)
     data, parameters = fit.data, fit.lin.state.parameters
-    _require_positive(parameters.wheels)
+    _require_possible(parameters.wheels)
     legs = fit.sure_legs if fit.sure_legs.any() else None
     used = legs, data.seen & ~fit.inliers.corners
     together = images_alike(fit.lin)
@@ -232,7 +233,7 @@ def _linear_start(
             linear = near
     distance_m = extraction.board_distance_m
     # Another unit of the wheels. Wider priors of squares and baseline would explain it, too, and nominal values pull.
-    other = None if full or extraction.motions else search.other_wheels
+    other = None if full or extraction.motions else search.carried or search.other_wheels
     if full and linear.point_rms_m < _BAD_SHARE * distance_m:
         other = other_wheels(linear.parameters.wheels, nominal)
     if other is not None:
@@ -332,12 +333,26 @@ def _require_positive(wheels: WheelGeometry) -> None:
     Raises:
         SolveError: a negative radius or separation.
     """
-    if wheels.positive:
-        return
+    if not wheels.positive:
+        raise _impossible(wheels, "a negative value")
+
+
+def _require_possible(wheels: WheelGeometry) -> None:
+    """Refuse impossible wheels of a result.
+
+    Raises:
+        SolveError: a radius or a separation out of its range.
+    """
+    for name, size in zip(NINE[6:], wheels.vector.tolist(), strict=True):
+        if size not in (possible := of_parameter(name)):
+            raise _impossible(wheels, f"a value beyond {possible}")
+
+
+def _impossible(wheels: WheelGeometry, what: str) -> SolveError:
     right, left, separation = 1e3 * wheels.vector
-    raise SolveError(
+    return SolveError(
         f"the wheel radii that fit best are {right:.1f} mm (right) and {left:.1f} mm (left), the wheel separation is "
-        f"{separation:.1f} mm: a negative value is impossible",
+        f"{separation:.1f} mm: {what} is impossible",
         "check the topics, signs and units of the wheels and of the head joints in rig.yaml, and their clocks",
     )
 

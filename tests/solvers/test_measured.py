@@ -10,7 +10,7 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.errors import ConfigError, SolveError
-from mobilecal_cli.kinematics import integrate
+from mobilecal_cli.kinematics import head_pose, integrate
 from mobilecal_cli.kinematics.wheels import Increments
 from mobilecal_cli.measured import Drive, TargetPose, from_motions, from_poses
 from mobilecal_cli.model import Parameters, SensorMotion, WheelGeometry
@@ -25,6 +25,8 @@ from tests.robots import chain_of
 from tests.truth import parameters_of
 
 SIGMA = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])  # rad, m
+OPTICAL = se3.transform(se3.from_rpy(np.radians([-90.0, 0.0, -90.0])), np.zeros(3))  # in the body frame
+ON_BASE = se3.transform(se3.from_rpy(np.array([0.1, 0.2, 0.3])), np.array([0.6, 0.0, 0.4]))
 
 
 @cache
@@ -129,6 +131,7 @@ def test_bad_poses_readings_and_times_are_named():
     unread = dict(recorded.poses[0].joints, **{chain_of(robot).joints[0]: np.nan})
     for bad, said in (
         (with_pose(recorded, covariance=-np.eye(6)), "drive 1, pose 1: the covariance is not positive"),
+        (with_pose(recorded, covariance=np.zeros((6, 6))), "of a standard deviation below 1e-06 rad or m"),
         (with_pose(recorded, joints={}), "drive 1, pose 1: no reading of"),
         (with_pose(recorded, joints=unread), f"drive 1, pose 1: {chain_of(robot).joints[0]} is not finite"),
         (with_pose(recorded, T_c_k=T * np.nan), "drive 1, pose 1: not a finite 4 x 4 matrix"),
@@ -163,6 +166,26 @@ def test_inverse_poses_are_named(seed):
     inverse = [replace(pose, T_c_k=se3.inverse(pose.T_c_k)) for pose in recorded.poses]
     extraction = from_poses([replace(recorded, poses=inverse)], tuple(robot.wheels.vector), chain_of(robot))
     with pytest.raises(SolveError, match="the measured poses are inverted"):
+        solve(extraction)
+
+
+@pytest.mark.parametrize(
+    ("in_base", "said"),
+    [
+        (lambda T_v_c, T_c_k: T_v_c @ T_c_k, "the measured poses are those in the frame of the base"),
+        (lambda T_v_c, _: se3.inverse(T_v_c) @ ON_BASE, "the target stays where it is against the base"),
+    ],
+)
+def test_poses_in_the_base_and_a_target_on_it_are_named(in_base, said):
+    """The causes were joints in degrees, and wheels that are swapped or whose encoders have the wrong sign."""
+    robot, recorded = drive(3)
+    poses = []
+    for pose in recorded.poses:
+        T_v_h = head_pose(chain_of(robot), np.array([[*pose.joints.values()]]))[0]
+        T_c_k = in_base(T_v_h @ robot.T_h_c, pose.T_c_k)
+        poses.append(replace(pose, T_c_k=se3.exp(SIGMA * np.sin(1e3 * np.arange(6) * pose.time_s)) @ T_c_k))
+    extraction = from_poses([replace(recorded, poses=poses)], tuple(robot.wheels.vector), chain_of(robot))
+    with pytest.raises(SolveError, match=said):
         solve(extraction)
 
 
@@ -329,9 +352,6 @@ def on_a_circle(T_v_c, seed):
     reading = np.concatenate([at_m[:1], at_m, at_m[-1:]]) / 0.1
     right, left = reading * (1 + curvature * 0.2), reading * (1 - curvature * 0.2)
     return Drive(poses, np.arange(18.0), right, left)
-
-
-OPTICAL = se3.transform(se3.from_rpy(np.radians([-90.0, 0.0, -90.0])), np.zeros(3))  # in the body frame
 
 
 @pytest.mark.parametrize(
