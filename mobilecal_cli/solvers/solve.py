@@ -343,6 +343,7 @@ def _require_possible(wheels: WheelGeometry) -> None:
     Raises:
         SolveError: a radius or a separation out of its range.
     """
+    _require_positive(wheels)
     for name, size in zip(NINE[6:], wheels.vector.tolist(), strict=True):
         if size not in (possible := of_parameter(name)):
             raise _impossible(wheels, f"a value beyond {possible}")

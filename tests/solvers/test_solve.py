@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.model import WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
+from mobilecal_cli.solvers.solve import _require_possible
 from tests.bench.imperfect import Case
 from tests.extractions import Noise, Outside, extraction_of, simulated
 from tests.truth import errors
@@ -19,6 +22,20 @@ def test_a_robot_in_motion_gives_the_truth():
     robot = ROBOTS["paper"]
     solution = solve(simulated("moving", robot=robot, seed=0, nominal=False, images=12))
     assert np.abs(errors(solution.parameters, robot)).max() < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("radius_m", "separation_m", "said"),
+    [
+        (-0.1, 0.4, "a negative value"),
+        (1.7e-8, 0.4, "beyond 0.001 to 10 m"),
+        (0.1, 6e-3, "beyond 0.01 to 100 m"),
+    ],
+)
+def test_wheels_that_are_not_possible_are_no_result(radius_m, separation_m, said):
+    """They were an error of params.yaml, "use a params.yaml written by mobilecal calibrate"."""
+    with pytest.raises(SolveError, match=said):
+        _require_possible(WheelGeometry(radius_m, radius_m, separation_m))
 
 
 def test_residuals_and_the_world_fit_together():
