@@ -71,7 +71,11 @@ class Jump:
 _Part = tuple[FloatArray, FloatArray]
 
 
-def _parts(lin: Posterior) -> dict[str, _Part]:
+def _parts(lin: Posterior, between: bool) -> dict[str, _Part]:
+    """Parts that change inside a recording, or between recordings.
+
+    Each recording has a place of the board of its own: so the height of a camera that never tilts shows inside alone.
+    """
     data, views, residuals = lin.data, lin.views, lin.legs.residual
 
     def of_images(unknowns: Sequence[int], columns: FloatArray) -> _Part:
@@ -80,7 +84,7 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
         return by_images, np.zeros((*residuals.shape, columns.shape[-1]))
 
     delta, of_mount, vertical = range(6), views.by_shared[:, :, :6].copy(), unseen_height(data.chain)
-    if vertical is not None:  # the height of a camera that never tilts does not show
+    if between and vertical is not None:
         of_mount[..., 3:] -= np.outer(of_mount[..., 3:] @ vertical, vertical).reshape(of_mount[..., 3:].shape)
     parts = {"head mount": of_images(delta, of_mount)}
     for j, name in enumerate(data.chain.joints):
@@ -93,10 +97,15 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
             [6 + k for k in own], np.diag(sigmas if name in BETWEEN else np.ones(len(own)))
         )
     for name, radii in WHEELS.items():
-        if name != BOTH_WHEELS or data.logs > 1:
-            no_images = np.zeros((*views.pull.shape, len(radii)))
-            parts[name] = no_images, lin.legs.by_shared[:, :, 6:8][:, :, radii]
-    return parts
+        no_images = np.zeros((*views.pull.shape, len(radii)))
+        parts[name] = no_images, lin.legs.by_shared[:, :, 6:8][:, :, radii]
+    others = ("board",) if between else BETWEEN
+    return {name: part for name, part in parts.items() if name not in others}
+
+
+def _part_of(lin: Posterior, jump: Jump) -> _Part:
+    first = jump.station == np.flatnonzero(lin.data.log == lin.data.log[jump.station])[0]
+    return _parts(lin, bool(first))[jump.part]
 
 
 def traced(lin: Posterior) -> Posterior:
@@ -202,7 +211,7 @@ def without(lin: Posterior, jump: Jump, large: bool = False) -> Posterior:
     To first order, the derivatives may be those midway between the wheels before and after; a large step begins at the
     point.
     """
-    (of_views, of_legs), after = _parts(lin)[jump.part], stations_after(lin, jump.station)
+    (of_views, of_legs), after = _part_of(lin, jump), stations_after(lin, jump.station)
     images = lin.images.shifted(np.where(after[:, None], of_views @ jump.value, 0.0))
     moved = of_legs @ jump.value
     if large and jump.part in WHEELS:
@@ -215,7 +224,7 @@ def without(lin: Posterior, jump: Jump, large: bool = False) -> Posterior:
 
 def again(lin: Posterior, jump: Jump) -> Jump:
     """The test of a step whose residuals have been taken out, at other noise levels, and the step there."""
-    score = _scores(lin, _parts(lin)[jump.part], [jump.station])
+    score = _scores(lin, _part_of(lin, jump), [jump.station])
     value = jump.value + score.value[0]
     chi2 = float(value @ score.information[0] @ value)
     return replace(jump, chi2=chi2, value=value, sigmas=equivalent_sigmas(chi2, jump.dof, jump.tried))
@@ -253,7 +262,7 @@ def scatter(lin: Posterior, jump: Jump) -> float:
     """
     stations = np.unique(lin.data.legs[lin.inliers.legs, 1])
     stations = stations[lin.inliers.views[stations]][:: max(1, len(stations) // _MOST_MOMENTS)]
-    single = _scores(lin, _parts(lin)[jump.part], stations, lasting=False)
+    single = _scores(lin, _part_of(lin, jump), stations, lasting=False)
     return max(1.0, float(single.chi2.sum()) / max(int(single.dof.sum()), 1))
 
 
@@ -305,7 +314,7 @@ def significance(optimum: Posterior, lin: Posterior, jump: Jump) -> float:
         lin: the point without them.
         jump: from `again`, at levels without its residuals.
     """
-    test = _scores(optimum, _parts(optimum)[jump.part], [jump.station])
+    test = _scores(optimum, _part_of(optimum, jump), [jump.station])
     score, dof, chi2 = float(test.chi2[0]), int(test.dof[0]), jump.chi2 / scatter(lin, jump)
     if score >= jump.chi2 or not dof:
         return equivalent_sigmas(chi2, jump.dof, jump.tried)
@@ -348,40 +357,32 @@ def likeliest(lin: Posterior) -> list[Jump]:
     for log in logs:
         mine = np.flatnonzero((data.log == log) & lin.inliers.views)
         inside += mine[_FEWEST_EACH_SIDE : len(mine) - _FEWEST_EACH_SIDE + 1].tolist()
-    parts, ranked = _parts(lin), []
     kinds = 1 + bool(differing and inside)
-
-    def tried(moments: IntArray) -> IntArray:
-        return kinds * len(parts) * np.where(np.isin(moments, differing), len(differing), len(inside))
-
-    for name, part in parts.items():
-        # Each recording has a place of the board of its own; and a board keeps its size and shape meanwhile.
-        of_this = {"board": inside, **dict.fromkeys(BETWEEN, differing)}.get(name, differing + inside)
-        moments = np.array(of_this, dtype=np.int64)
-        if not len(moments):
+    ranked: list[tuple[float, Jump]] = []
+    for between, of_kind in ((False, inside), (True, differing)):
+        if not of_kind:
             continue
-        every = max(1, math.ceil(len(moments) / _MOST_MOMENTS))
-        tests = _scores(lin, part, moments[::every])
-        if every > 1:
-            near = every * int(np.argmax(_rank(tests.chi2, tests.dof, tried(moments[::every]))))
-            moments = moments[max(near - every + 1, 0) : near + every]
-            tests = _scores(lin, part, moments)
-        rank = _rank(tests.chi2, tests.dof, tried(moments))
-        if np.isfinite(rank).any():
-            k = int(np.argmax(rank))
-            chi2, dof, count = float(tests.chi2[k]), int(tests.dof[k]), int(tried(moments)[k])
-            jump = Jump(
-                name,
-                int(moments[k]),
-                chi2,
-                dof,
-                count,
-                equivalent_sigmas(chi2, dof, count),
-                0.0,
-                tests.value[k],
-            )
-            ranked.append((-float(rank[k]), jump))
-    return [jump for _, jump in sorted(ranked, key=lambda each: each[0])]
+        parts = _parts(lin, between)
+        tried = np.array(kinds * len(parts) * len(of_kind))
+        for name, part in parts.items():
+            moments = np.array(of_kind, dtype=np.int64)
+            every = max(1, math.ceil(len(moments) / _MOST_MOMENTS))
+            tests = _scores(lin, part, moments[::every])
+            if every > 1:
+                near = every * int(np.argmax(_rank(tests.chi2, tests.dof, tried)))
+                moments = moments[max(near - every + 1, 0) : near + every]
+                tests = _scores(lin, part, moments)
+            rank = _rank(tests.chi2, tests.dof, tried)
+            if np.isfinite(rank).any():
+                k, count = int(np.argmax(rank)), int(tried)
+                chi2, dof, value = float(tests.chi2[k]), int(tests.dof[k]), tests.value[k]
+                sigmas = equivalent_sigmas(chi2, dof, count)
+                jump = Jump(name, int(moments[k]), chi2, dof, count, sigmas, 0.0, value)
+                ranked.append((-float(rank[k]), jump))
+    best: dict[str, Jump] = {}
+    for _, jump in sorted(ranked, key=lambda each: each[0]):
+        best.setdefault(jump.part, jump)
+    return list(best.values())
 
 
 def lasts(lin: Posterior, jump: Jump) -> bool:
@@ -394,5 +395,5 @@ def lasts(lin: Posterior, jump: Jump) -> bool:
     legs, log = lin.data.legs, lin.data.log
     beside = np.arange(jump.station - _FEWEST_EACH_SIDE, jump.station + _FEWEST_EACH_SIDE)
     beside = np.intersect1d(beside, legs[log[legs[:, 1]] == log[jump.station], 1])
-    single = _scores(lin, _parts(lin)[jump.part], beside, lasting=False)
+    single = _scores(lin, _part_of(lin, jump), beside, lasting=False)
     return float(single.chi2.max(initial=0.0)) < jump.chi2
