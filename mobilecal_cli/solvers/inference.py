@@ -337,6 +337,7 @@ class Inference:
         # then compared at the levels of the residuals without it.
         usual = {name: min(getattr(fit.noise, name), getattr(self.guess, name)) for name in _CONCEALING}
         noise = fit.noise.with_levels({name: usual[name] for name in usual.keys() - self.given})
+        noise = self._uneven(noise)
         inliers, start = fit.inliers, jumps.traced(fit.lin)
         for _ in range(2):
             # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
@@ -352,10 +353,11 @@ class Inference:
                 return None
             lin = to_first_order(jumps.without(optimum, ranked[0]))
             lin, _ = self._levels_near(lin, kept=frozenset(LENGTHS.values()))
+            noise = self._uneven(lin.noise)
+            lin = to_first_order(lin.with_noise(noise))
             jump = jumps.again(lin, ranked[0])
             if jump.sigmas < _CANDIDATE_SIGMAS:
                 return None
-            noise = lin.noise
         if jump.sigmas < JUMP_SIGMAS:
             return None
         jump = replace(jump, sigmas=jumps.significance(start, lin, jump))
@@ -367,6 +369,13 @@ class Inference:
             points.append((replace(jumps.again(past, other), sigmas=jump.sigmas, also=jump.part), past))
         worst = max((_sized(written, *point) for point in points), key=lambda each: each.shift_sigmas)
         return worst, replace(fit, lin=lin)
+
+    def _uneven(self, noise: Noise) -> Noise:
+        """Levels of a floor that is no flatter than usual: one that steps once looks like a board that moves."""
+        names = {"floor_rad", "floor_m"} - self.given
+        return noise.with_levels(
+            {name: max(getattr(noise, name), getattr(self.guess, name)) for name in names}
+        )
 
     def _behind_outliers(self, fit: Fit) -> jumps.Jump | None:
         """The jump with which most outliers of a recording, several, fit the others.

@@ -160,6 +160,15 @@ def test_what_a_moved_camera_explains_contradicts_nothing(whole):
     assert not solution.scale.apart
 
 
+@pytest.mark.parametrize(("roll_rad", "parts"), [(0.0035, []), (0.01, ["board"])])
+def test_a_board_that_turns_by_no_more_than_a_floor_makes_is_not_named(roll_rad, parts):
+    """A floor of another slope, where the robot drives next, looks the same: the camera on the head was named, a FAIL."""
+    flat = replace(NOISE, pixel_px=0.02, floor_rad=1e-4, floor_m=1e-4)
+    rolled = ROUTE.T_w_k @ se3.exp(np.array([0.0, 0.0, roll_rad, 0.0, 0.0, 0.0]))
+    before, after = (extraction_of(ROBOT, replace(ROUTE, T_w_k=T), flat, 1) for T in (ROUTE.T_w_k, rolled))
+    assert [jump.part for jump in solve(spliced(before, after)).jumps] == parts
+
+
 def test_nothing_jumps_nor_one_station_that_does_not_fit(whole, fitted):
     """The right camera is off by 3 px at the fourth station from the end alone."""
     at = STATIONS - 4
