@@ -303,8 +303,8 @@ STATED: dict[str, Stated] = {
     "turn_sides": Stated("wheels", "Turn as often to the left as to the right", "the mean of all turns",
                          "Check tires, casters and load: one separation cannot describe left and right turns."),
     "wheel_delay": Stated("time stamps", "Read both wheels at one time", "both wheels read at one time",
-                          "Read both wheels in one message and record again, or state priors.wheel_delay in rig.yaml "
-                          "(in ms)."),
+                          "Read both wheels in one message, check them for slip and play where they speed up, and "
+                          "record again; or state priors.wheel_delay in rig.yaml (in ms)."),
     "backlash": Stated("head geometry", "Approach each head pose from both sides", "no backlash",
                        "Repair the joint, or approach each head pose from the same side."),
 }
