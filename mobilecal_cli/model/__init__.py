@@ -5,6 +5,7 @@ from mobilecal_cli.model.calibration import NINE, WHEEL_WORDS, CalibratedRobot, 
 from mobilecal_cli.model.findings import (
     CONTRADICTION_SIGMAS,
     MATERIAL_SIGMAS,
+    STAMP_NOISE_S,
     WHEEL_NOISE,
     AtWork,
     BetweenLogs,

@@ -14,6 +14,8 @@ CONTRADICTION_SIGMAS = 4.0
 MATERIAL_SIGMAS = 2.0
 #: Largest noise of wheels that is no fault, rad per sqrt(rad): twice that of usual floors.
 WHEEL_NOISE = 0.03
+#: Largest noise of an image's time stamp that is no fault.
+STAMP_NOISE_S = 0.02
 _LONGEST_DELAY_S = (
     0.025  # of a camera against the first one, as rates correct it: those of 20 ms are within 3 sigma
 )

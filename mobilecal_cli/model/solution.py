@@ -307,8 +307,8 @@ class Solution:
         point_rms_m: square root of eq. 19 at `parameters`, m.
         reprojection_rms_px: rms distance between predicted and detected corners over all legs, px.
         error_parts: what each kind of noise ("corners", or "poses" if these were measured, "joints", "floor",
-            "wheels"), "lenses" beside their models and "turns" that differ (or a wheel that is late) contribute to both
-            errors; empty where the noise levels are not estimated.
+            "wheels", and "stamps" in motion), "lenses" beside their models and "turns" that differ (or a wheel that is
+            late) contribute to both errors; empty where the noise levels are not estimated.
         leg_noise: (2, L) rms error of each leg of the residuals that all noise levels together explain, px and m; None
             where they are not estimated.
         motion: extent of the motion: "pan_range_deg", "tilt_range_deg", "turned_deg", "driven_m", ...

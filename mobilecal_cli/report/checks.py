@@ -26,6 +26,7 @@ from mobilecal_cli.model import (
     MATERIAL_SIGMAS,
     NINE,
     NO_IMAGES,
+    STAMP_NOISE_S,
     TURNS_AT_REST,
     UNUSED,
     WHEEL_NOISE,
@@ -779,7 +780,7 @@ _NOISE = {
         0.3, 1.5, "floor (roll and pitch of the base)", "that the floor is flat and that the base does not rock",
     ),
     Metric("noise.stamp", "ms", section="limits"): (
-        2.0, 20.0, "image time stamps", "that images have hardware time stamps, or stop for each image",
+        2.0, 1e3 * STAMP_NOISE_S, "image time stamps", "that images have hardware time stamps, or stop for each image",
     ),
     Metric("noise.pair", "ms", section="limits"): (
         2.0, 10.0, "time between the images of two cameras",
@@ -932,8 +933,9 @@ _NO_NOISE = 3.0  # times its limit: a larger reprojection error is no noise
 def unexplained(solution: Solution, extraction: Extraction) -> ErrorPart:
     """Reprojection error and point error beyond what the noise levels and the cameras' lenses explain.
 
-    Noise of corners, joints, floor and wheels has limits of its own. What lenses do beside their models, and turns that
-    differ, are estimated. None of it is an error of the calibration. Each is counted with its largest mean square.
+    Noise of corners, joints, floor, wheels and stamps has limits of its own. What lenses do beside their models, and
+    turns that differ, are estimated. None of it is an error of the calibration. Each is counted with its largest mean
+    square.
     Depth is proportional to 1 / disparity: with a relative noise r, to first order, its mean square is r^2 (1 + 9 r^2).
     That of a leg is the sum of two stations.
 

@@ -94,6 +94,9 @@ ERROR_PARTS = {
     "wheels": (
         "wheels", "Check the wheels for slip, and the board for a move, on the leg with the largest error.",
     ),
+    "stamps": (
+        "image time stamps", "Check that images have hardware time stamps, or stop for each image.",
+    ),
     "lenses": (
         "lenses beside their models", "Calibrate the cameras with a distortion model that fits their lenses.",
     ),

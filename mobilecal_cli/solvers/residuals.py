@@ -209,7 +209,7 @@ def triangulated_again(state: State, pixels: FloatArray, points: FloatArray) -> 
 def leg_squares(lin: Posterior, shown: Dataset, residuals: Residuals) -> dict[str, FloatArray]:
     """Mean square error of each leg by each kind of noise, (2, L): px^2 and m^2.
 
-    The kinds are "corners" (or "poses"), "joints", "floor" and "wheels".
+    The kinds are "corners" (or "poses"), "joints", "floor", "wheels" and, in motion, "stamps".
 
     Images and legs are those with the estimated constants, see `at_state`.
     """
@@ -225,6 +225,8 @@ def leg_squares(lin: Posterior, shown: Dataset, residuals: Residuals) -> dict[st
         * (noise.joint_rad * np.array(data.chain.joint_units)),
         "floor": se3.adjoint(se3.inverse(T_v_c)) @ base,
     }
+    if data.moving.any():
+        twists["stamps"] = noise.stamp_s * lin.state.view_rates[0][..., None]
     by_twist = se3.by_twist(points_c)
     own = {name: _mean_squares(by_twist @ twist[:, None], by_point) for name, twist in twists.items()}
     # Corners: detected at one station, triangulated at the other.

@@ -23,6 +23,7 @@ from mobilecal_cli.model import (
     CONTRADICTION_SIGMAS,
     MATERIAL_SIGMAS,
     NINE,
+    STAMP_NOISE_S,
     WHEEL_NOISE,
     BoolArray,
     Diagnosis,
@@ -391,7 +392,7 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     """Whether known noise does not explain the point error, or many stations of a recording have an outlier.
 
     Known are that of corners, what lenses do beside their models, turns that differ, the steps of the encoders, and the
-    estimated noise of wheels: its largest mean square, but at most what noise at its limit causes.
+    estimated noise of wheels and of stamps: its largest mean square, but at most what noise at its limit causes.
     """
     stations = Counter(o.log for o in extraction.observations)
     gross = Counter(outlier.log for outlier in solution.gross_outliers)
@@ -401,12 +402,18 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     # Heading by one step of each wheel.
     step_rad = float(right_m + left_m) / solution.parameters.wheels.separation_m
     error_m = max(_BAD_SHARE, step_rad) * distance_m
-    of_wheels, parts = 0.0, solution.error_parts
+    of_noise, parts = 0.0, solution.error_parts
     of_robot = sum(parts[name].m ** 2 for name in ("lenses", "turns") if name in parts)
-    if solution.uncertainty is not None and "wheels" in parts:
-        level, legs = solution.uncertainty.noise.wheel_rad_per_sqrt_rad, len(solution.residuals.legs)
-        of_wheels = parts["wheels"].m ** 2 * min(largest_mean_square(legs), (WHEEL_NOISE / level) ** 2)
-    explained = of_corners_m**2 + of_robot + of_wheels
+    if solution.uncertainty is not None:
+        noise, most = solution.uncertainty.noise, largest_mean_square(len(solution.residuals.legs))
+        limits = {
+            "wheels": WHEEL_NOISE / noise.wheel_rad_per_sqrt_rad,
+            "stamps": STAMP_NOISE_S / noise.stamp_s,
+        }
+        of_noise = sum(
+            parts[name].m ** 2 * min(most, limits[name] ** 2) for name in limits.keys() & parts.keys()
+        )
+    explained = of_corners_m**2 + of_robot + of_noise
     misfits = solution.point_rms_m**2 - explained > error_m**2
     return misfits or any(bad > _MANY_OUTLIERS * stations[log] for log, bad in gross.items())
 

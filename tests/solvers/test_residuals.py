@@ -55,6 +55,18 @@ def test_one_noise_alone_makes_the_reprojection_error(part, noise):
     assert f"together {std_text(whole)} px" in made(known, extraction).quality.reprojection_text
 
 
+def test_stamps_that_are_late_by_chance_are_named():
+    """As of images that are stamped on arrival: it was the wheels, their clocks, or their slip."""
+    noise = replace(imperfect.CORRELATED, stamp_s=0.03)
+    extraction = imperfect.Case(robot="camera on the base", motion="moving").drawn(noise=noise).extraction(3)
+    solution = solve(extraction)
+    parts = solution.error_parts
+    assert max(parts, key=lambda name: parts[name].px) == "stamps"
+    whole = np.sqrt(sum(part.px**2 for part in parts.values()))
+    assert solution.reprojection_rms_px == pytest.approx(whole, rel=0.25)
+    assert judge(solution, extraction).reason.startswith("The noise of the image time stamps is 24 ms")
+
+
 def test_a_small_corner_noise_is_not_rounded_to_zero():
     solution, extraction = drawn()
     noise = replace(solution.uncertainty.noise, pixel_px=0.0041)
