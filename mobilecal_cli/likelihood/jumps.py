@@ -21,6 +21,7 @@ from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import POSE, BoardEffect, CameraEffect
 from mobilecal_cli.likelihood.evidence import equivalent_sigmas, from_chance
 from mobilecal_cli.likelihood.legs import residuals_moved
+from mobilecal_cli.likelihood.measurements import FLOOR
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray, camera_words
 
@@ -30,6 +31,8 @@ _FAINT = 400.0  # 1/rad^2, 1/m^2: a step of 0.05 rad or m does not show; derivat
 _ALIKE = 6.0  # twice the logarithm of how much likelier one part is than another that it may be confused with
 #: The parts that differ between recordings alone: with different boards, and with another load or tire pressure.
 BETWEEN = SIZE, SHAPE, BOTH_WHEELS = "board's size", "board's shape", "both wheels"
+#: Roll, pitch and height of the base, beside a head that turns.
+LEAN = "lean of the base"
 #: How the part is called that is one camera's focal length, or that of all.
 FOCAL = "focal length of "
 #: Parts that are wheels → which of the radii they have, of the right and the left one.
@@ -41,7 +44,7 @@ class Jump:
     """A step of one part.
 
     Attributes:
-        part: "head mount", "joint <name>", "board", "<name> camera", "focal length of the <name> camera",
+        part: "head mount", "joint <name>", "board", `LEAN`, "<name> camera", "focal length of the <name> camera",
             "right wheel", "left wheel", `BOTH_WHEELS`, `SIZE` or `SHAPE`.
         station: index of the first station after it; the first of a recording that differs from the others.
         chi2, dof: of the score test.
@@ -51,8 +54,9 @@ class Jump:
         shift_sigmas: how far the jump moves the nine parameters, or is itself in their units: the largest, in standard
             deviations; the rotation of a camera against the first one in those of its prior.
         value: (m,) the step: twist of the camera in the head (rad, m), rad or m of the joint, twist of the board in its
-            own frame (rad, m), rotation and position of a camera against the first one (rad, m), share of the focal
-            length, m of the radius, or of both radii, or constants of the board, in units of a few prior sigmas.
+            own frame (rad, m), roll, pitch and height of the base (rad, m), rotation and position of a camera against
+            the first one (rad, m), share of the focal length, m of the radius, or of both radii, or constants of the
+            board, in units of a few prior sigmas.
         also: another part that explains about the same; "" if none does.
     """
 
@@ -90,6 +94,8 @@ def _parts(lin: Posterior, between: bool) -> dict[str, _Part]:
     for j, name in enumerate(data.chain.joints):
         parts[f"joint {name}"] = of_images(delta, views.by_own[:, :, j : j + 1])
     parts["board"] = of_images(delta, se3.adjoint(lin.state.T_c_k))
+    if data.chain.joints:  # a camera on the base moves with it
+        parts[LEAN] = of_images(delta, views.by_base[:, :, FLOOR])
     for name, own in _constants(data).items():
         # Of the board, a step of a prior sigma shows as well as the least step of a pose that is regarded.
         sigmas = math.sqrt(_FAINT) * lin.priors.scales[views.columns[own]]
@@ -99,7 +105,7 @@ def _parts(lin: Posterior, between: bool) -> dict[str, _Part]:
     for name, radii in WHEELS.items():
         no_images = np.zeros((*views.pull.shape, len(radii)))
         parts[name] = no_images, lin.legs.by_shared[:, :, 6:8][:, :, radii]
-    others = ("board",) if between else BETWEEN
+    others = ("board", LEAN) if between else BETWEEN
     return {name: part for name, part in parts.items() if name not in others}
 
 
@@ -242,7 +248,7 @@ def turning(data: Dataset, jump: Jump) -> BoolArray:
         effects = (data.layout.direct[k][2] for k in constants[jump.part])
         return np.array([isinstance(effect, CameraEffect) and effect.of == "turn" for effect in effects])
     turns = not slides(data, jump) and jump.part not in WHEELS
-    return np.arange(len(jump.value)) < (3 if turns else 0)
+    return np.arange(len(jump.value)) < ((2 if jump.part == LEAN else 3) if turns else 0)
 
 
 def left_by_first_order(lin: Posterior, jump: Jump) -> float:

@@ -184,8 +184,9 @@ class Jump:
     """A moment from which on a part of the robot, or the board, is not where it was before, or in other recordings.
 
     Attributes:
-        part: "head mount", "joint <name>", "board", "<name> camera", "focal length of the <name> camera", "right wheel"
-            or "left wheel", or "both wheels", "board's size" or "board's shape" in another recording; "" if unknown.
+        part: "head mount", "joint <name>", "board", "lean of the base", "<name> camera", "focal length of the <name>
+            camera", "right wheel" or "left wheel", or "both wheels", "board's size" or "board's shape" in another
+            recording; "" if unknown.
         log: index of the recording.
         station: index of the first observation after it; the first of a recording that differs from the others.
         time_ns: its time.

@@ -282,6 +282,7 @@ _WHEEL_CHANGED = ("changed", "Check the tire, the load and the encoder of this w
 _PARTS = {
     "": ("something", "changed", "Check the mounts of head, cameras and board, the wheels, and the cables"),
     "board": ("the board", "moved", "Fasten the board"),
+    jumps.LEAN: ("the base", "leaned over", "Check the load, the tires and the casters"),
     "board's size": ("the size of the squares", "changed", "Use the same board in all recordings"),
     "board's shape": ("the board's shape", "changed", "Use the same board in all recordings, on a flat plate"),
     "right wheel": ("the size of the right wheel", *_WHEEL_CHANGED),
@@ -795,8 +796,8 @@ _NOISE = {
 def noise(case: Case, *levels: Metric) -> Iterator[Check]:
     """Noise of joints (in mm for a head that only slides), wheels, floor, and times of images where the robot moves.
 
-    The estimate allows for it, so the limits are wide. A level of zero is a figure alone. A board that moved makes the
-    floor's noise large, and moves none of the nine parameters: then that is a warning.
+    The estimate allows for it, so the limits are wide. A level of zero is a figure alone. A board that moved, or a base
+    that leaned, makes the floor's noise large, and moves none of the nine parameters: then that is a warning.
     """
     uncertainty, chain = case.solution.uncertainty, case.extraction.rig.chain
     if uncertainty is None:
@@ -814,7 +815,8 @@ def noise(case: Case, *levels: Metric) -> Iterator[Check]:
         "noise.pair": ("pair_s", 1e3 * ("pair_s" in found.estimated)),
         "noise.shift": ("shift_px", 1.0 * ("shift_px" in found.estimated)),
     }
-    moved_board = {(jump.part, jump.also) for jump in case.solution.jumps} == {("board", "")}
+    moved = {part for jump in case.solution.jumps for part in (jump.part, jump.also) if part}
+    beside = bool(moved) and moved <= {"board", jumps.LEAN}
     stepped = [visible(note) for note in case.extraction.notes if CLOCK_STEPS in note]
     stated = ", and the priors in rig.yaml" if case.extraction.rig.prior_sigmas else ""
     if case.extraction.measured:
@@ -833,7 +835,7 @@ def noise(case: Case, *levels: Metric) -> Iterator[Check]:
             measured=f"{level:.2g} {metric.unit}",
             why=f"The noise of the {name} is{known} {level:.2g} {metric.unit} "
             f"(below {usual:g} {metric.unit} is usual).",
-            beyond="warning" if moved_board and metric in (_HEIGHT, _FLOOR) else "fail",
+            beyond="warning" if beside and metric in (_HEIGHT, _FLOOR) else "fail",
         )  # fmt: skip
 
 

@@ -169,6 +169,23 @@ def test_a_board_that_turns_by_no_more_than_a_floor_makes_is_not_named(roll_rad,
     assert [jump.part for jump in solve(spliced(before, after)).jumps] == parts
 
 
+def test_a_base_that_leans_over_moves_no_camera():
+    """As under a load: it was the camera on the head, a FAIL of a result that is right."""
+    flat = replace(NOISE, pixel_px=0.02, floor_rad=1e-4, floor_m=1e-4)
+    level, leaning = (
+        extraction_of(ROBOT, ROUTE, flat, 1, constants={"lean_roll": roll}) for roll in (0.0, 0.015)
+    )
+    changed = spliced(level, leaning)
+    solution = solve(changed)
+    (jump,) = solution.jumps
+    assert (jump.part, jump.station, jump.also) == ("lean of the base", HALF, "")
+    assert jump.turn_rad == pytest.approx(0.015, rel=0.2)
+    verdict = judge(solution, changed)
+    assert verdict.level == "PASS"
+    (check,) = (check for check in verdict.checks if check.id == "jump")
+    assert "the base leaned over by" in check.why
+
+
 def test_nothing_jumps_nor_one_station_that_does_not_fit(whole, fitted):
     """The right camera is off by 3 px at the fourth station from the end alone."""
     at = STATIONS - 4
