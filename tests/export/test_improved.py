@@ -204,7 +204,7 @@ def test_a_description_that_was_corrected_is_not_corrected_again(calibrated, tmp
         path.write_bytes(extraction_to_npz(replace(extraction, rig=corrected)))
         result = evaluate([path], params)
         errors[words] = result.evaluation.rotation_rad
-        assert [words in note for note in result.left_out] == [True] * bool(words)
+        assert [words in note for note in result.remarks] == [True] * bool(words)
     assert errors["head chain is"] == pytest.approx(errors[""], abs=5e-5)
     older = params.with_name("older.yaml")  # states no cameras: corrected twice
     older.write_text(re.sub(" *cameras_sha256.*", "", params.read_text("utf-8")), "utf-8")
