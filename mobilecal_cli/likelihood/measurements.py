@@ -295,12 +295,13 @@ class Measurements:
                 parts.append((mine, column, track, width_ns, _smooth_width_ns(track, self.times_ns[mine])))
         return parts
 
-    def shift(self, time_offset_s: FloatArray | float) -> FloatArray:
-        """(N, J + 2) motion of the joints and of the right and left wheel from each stamp to that by another clock."""
-        shift, after = np.zeros((self.stations, self.joints.shape[1] + 2)), self.stamps_ns(time_offset_s)
+    def joint_shift(self, time_offset_s: FloatArray | float) -> FloatArray:
+        """(N, J) motion of the joints from each station's stamp to its stamp by another clock."""
+        shift, after = np.zeros_like(self.joints), self.stamps_ns(time_offset_s)
         for mine, column, track, width_ns, _ in self._in_motion:
-            before = track.mean(self.times_ns[mine], width_ns)
-            shift[mine, column] = track.mean(after[mine], width_ns) - before
+            if column < shift.shape[1]:
+                before = track.mean(self.times_ns[mine], width_ns)
+                shift[mine, column] = track.mean(after[mine], width_ns) - before
         return shift
 
     def rates(
@@ -331,20 +332,8 @@ class Measurements:
         """Wheel rotations of the legs, cut at the stations' stamps by another clock."""
         if not (np.any(time_offset_s) and self.moving.any()):
             return self.driven
-        stamps_ns, (i, j) = self.stamps_ns(time_offset_s), self.legs.T
-        # Interpolated readings have kinks; what the wheels turn between both stamps has none.
-        even = self.shift(time_offset_s)[:, -2:] - (
-            self._wheels_at(stamps_ns) - self._wheels_at(self.times_ns)
-        )
-        return steps_between(self.tracks, self.log, stamps_ns).with_ends(-even[i], even[j])
-
-    def _wheels_at(self, stamps_ns: IntArray) -> FloatArray:
-        """(N, 2) readings of the right and left wheel at some stamps of the stations in motion, 0 at others."""
-        readings = np.zeros((self.stations, 2))
-        for mine, column, track, *_ in self._in_motion:
-            if column >= self.joints.shape[1]:
-                readings[mine, column - self.joints.shape[1]] = track.at(stamps_ns[mine])
-        return readings
+        stamps_ns = self.stamps_ns(time_offset_s)
+        return steps_between(self.tracks, self.log, stamps_ns)
 
     @cached_property
     def pairs(self) -> MotionPairs:

@@ -127,7 +127,7 @@ class State:
         for value, effect in self.present(JointReading):
             joints = joints + value * effect.rate(data)
         if np.any(offset_s):
-            joints = joints + data.shift(offset_s)[:, :-2]
+            joints = joints + data.joint_shift(offset_s)
         if np.any(self.base[:, STAMP:]):
             joints = joints + self.rates[:, :-2] * self.base[:, STAMP:]
         return joints

@@ -140,7 +140,7 @@ def test_noise_of_the_readings_is_no_motion_within_a_clocks_offset(exact):
         for track in exact.joint_tracks[0]
     )
     noisy, without = (dataset_of(each) for each in (replace(exact, joint_tracks=(tracks,)), exact))
-    by_noise = (noisy.shift(0.02) - without.shift(0.02))[:, :-2]
+    by_noise = noisy.joint_shift(0.02) - without.joint_shift(0.02)
     assert np.abs(by_noise).max() < NOISE_RAD / 2
     assert np.abs(by_noise).mean() > 0
     assert set(without.joint_widths_ns[0]) == {40_000_000}
