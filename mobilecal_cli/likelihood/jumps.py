@@ -33,6 +33,7 @@ _ALIKE = 6.0  # twice the logarithm of how much likelier one part is than anothe
 BETWEEN = SIZE, SHAPE, BOTH_WHEELS = "board's size", "board's shape", "both wheels"
 #: Roll, pitch and height of the base, beside a head that turns.
 LEAN = "lean of the base"
+_SINKS_M = 0.01  # of a base that leans over: a larger step of the height is the board's
 #: How the part is called that is one camera's focal length, or that of all.
 FOCAL = "focal length of "
 #: Parts that are wheels → which of the radii they have, of the right and the left one.
@@ -382,6 +383,8 @@ def likeliest(lin: Posterior) -> list[Jump]:
             if np.isfinite(rank).any():
                 k, count = int(np.argmax(rank)), int(tried)
                 chi2, dof, value = float(tests.chi2[k]), int(tests.dof[k]), tests.value[k]
+                if name == LEAN and abs(value[2]) > _SINKS_M:
+                    continue
                 sigmas = equivalent_sigmas(chi2, dof, count)
                 jump = Jump(name, int(moments[k]), chi2, dof, count, sigmas, 0.0, value)
                 ranked.append((-float(rank[k]), jump))

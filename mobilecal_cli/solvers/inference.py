@@ -337,7 +337,6 @@ class Inference:
         # then compared at the levels of the residuals without it.
         usual = {name: min(getattr(fit.noise, name), getattr(self.guess, name)) for name in _CONCEALING}
         noise = fit.noise.with_levels({name: usual[name] for name in usual.keys() - self.given})
-        noise = self._uneven(noise)
         inliers, start = fit.inliers, jumps.traced(fit.lin)
         for _ in range(2):
             # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
@@ -353,12 +352,12 @@ class Inference:
                 return None
             lin = to_first_order(jumps.without(optimum, ranked[0]))
             lin, _ = self._levels_near(lin, kept=frozenset(LENGTHS.values()))
-            noise = self._uneven(lin.noise)
-            lin = to_first_order(lin.with_noise(noise))
             jump = jumps.again(lin, ranked[0])
             if jump.sigmas < _CANDIDATE_SIGMAS:
                 return None
-        if jump.sigmas < JUMP_SIGMAS:
+            noise = lin.noise
+        uneven = to_first_order(lin.with_noise(self._uneven(noise)))
+        if min(jump.sigmas, jumps.again(uneven, jump).sigmas) < JUMP_SIGMAS:
             return None
         jump = replace(jump, sigmas=jumps.significance(start, lin, jump))
         if jump.sigmas < JUMP_SIGMAS:
