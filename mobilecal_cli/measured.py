@@ -44,7 +44,8 @@ _NO_ROTATION = 1e-3  # R^T R of a rotation with four digits differs less from th
 _LEAST_SIGMA = 1e-6  # rad, m: no pose is measured so exactly; unknown covariances are often zero
 _FARTHEST_M = 100.0  # of a target or a sensor
 _WHEELS = "the radius of the right and the left wheel, and their separation, m"
-_AROUND_S = 0.25  # a pose during which the wheels turn is one in motion, if they are read so often
+# A pose around which the wheels turn is one in motion, if they are read more often than that meanwhile.
+_AROUND_NS, _FEW_READINGS = 250_000_000, 2
 _STILL_RAD = 0.005
 _NO_CAMERA = Camera("sensor", 640, 480, np.diag([500.0, 500.0, 1.0]), np.zeros(0), "none")
 
@@ -135,10 +136,8 @@ def from_poses(
         in_order = sorted(poses, key=lambda pose: number_of(f"{where}: time_s of a pose", pose.time_s))
         tracks.append(_wheels(where, drive, [pose.time_s for pose in in_order]))
         checked = [_checked(f"{where}, pose {k}", pose, chain) for k, pose in enumerate(in_order, 1)]
-        stations = _at_stops(drive, checked)
-        observations += [
-            _observed(log, k, pose, not _in_motion(drive, pose.time_s)) for k, pose in enumerate(stations)
-        ]
+        stations = _at_stops(tracks[-1], checked)
+        observations += [_observed(log, k, pose, tracks[-1]) for k, pose in enumerate(stations)]
         if len(stations) < len(checked):
             notes.append(
                 f"{where}: of several poses at one stop, the median counts: {len(checked)} are {len(stations)}."
@@ -267,46 +266,43 @@ def _wheels(where: str, drive: Drive, times_s: Sequence[float]) -> WheelTrack:
     return WheelTrack.at_same_times(np.round(time_s * 1e9).astype(np.int64), right, left)
 
 
-def _read_often(drive: Drive, time_s: float) -> bool:
-    """Whether the wheels are read often enough to tell if they turn around a time."""
-    begin, end = np.searchsorted(drive.wheel_time_s, [time_s - _AROUND_S, time_s + _AROUND_S])
-    return bool(end > begin + 2)
-
-
-def _turned_rad(drive: Drive, begin_s: float, end_s: float) -> float:
+def _turned_rad(track: WheelTrack, begin_ns: int, end_ns: int) -> float:
     """The longest way of a wheel in an interval."""
-    times_s = np.asarray(drive.wheel_time_s)
-    at_s = [begin_s, *times_s[(times_s > begin_s) & (times_s < end_s)], end_s]
-    return max(float(np.ptp(np.interp(at_s, times_s, side))) for side in (drive.right_rad, drive.left_rad))
+    stamps = track.right.time_ns
+    begin_ns, end_ns = max(begin_ns, int(stamps[0])), min(end_ns, int(stamps[-1]))
+    between = stamps[slice(*np.searchsorted(stamps, [begin_ns, end_ns]))]
+    at_ns = np.concatenate([[begin_ns], between, [end_ns]])
+    return max(float(np.ptp(side.at(at_ns))) for side in (track.right, track.left))
 
 
-def _in_motion(drive: Drive, time_s: float) -> bool:
-    """Whether the wheels turn around a time; not where they are read too rarely to tell."""
-    turned_rad = _turned_rad(drive, time_s - _AROUND_S, time_s + _AROUND_S)
-    return _read_often(drive, time_s) and turned_rad > _STILL_RAD
+def _turned_around_rad(track: WheelTrack, time_ns: int) -> float:
+    """The way of a wheel around a time; NaN where they are read too rarely to tell whether they turn."""
+    begin_ns, end_ns = time_ns - _AROUND_NS, time_ns + _AROUND_NS
+    read = int(np.diff(np.searchsorted(track.right.time_ns, [begin_ns, end_ns]))[0])
+    return _turned_rad(track, begin_ns, end_ns) if read > _FEW_READINGS else math.nan
 
 
-def _at_stops(drive: Drive, poses: Sequence[TargetPose]) -> list[TargetPose]:
+def _at_stops(track: WheelTrack, poses: Sequence[TargetPose]) -> list[TargetPose]:
     """Poses in order, with those at one stop as one: their errors there are not independent.
 
     It is the median of each component, so that a few wrong ones do not count.
     """
     stops: list[list[TargetPose]] = []
     for pose in poses:
-        last = stops[-1][0] if stops else None
-        if (
-            last is not None
-            and all(abs(pose.joints[name] - last.joints[name]) < _STILL_RAD for name in last.joints)
-            and all(
-                _read_often(drive, each.time_s) and not _in_motion(drive, each.time_s)
-                for each in (last, pose)
-            )
-            and _turned_rad(drive, last.time_s, pose.time_s) < _STILL_RAD
-        ):
+        if stops and _same_stop(track, stops[-1][0], pose):
             stops[-1].append(pose)
         else:
             stops.append([pose])
     return [_median(stop) for stop in stops]
+
+
+def _same_stop(track: WheelTrack, first: TargetPose, pose: TargetPose) -> bool:
+    """Whether joints and wheels rest at two poses and in between."""
+    if any(abs(pose.joints[name] - first.joints[name]) >= _STILL_RAD for name in first.joints):
+        return False
+    at_ns = [round(each.time_s * 1e9) for each in (first, pose)]
+    rests = all(_turned_around_rad(track, time_ns) <= _STILL_RAD for time_ns in at_ns)
+    return rests and _turned_rad(track, *at_ns) < _STILL_RAD
 
 
 def _median(poses: Sequence[TargetPose]) -> TargetPose:
@@ -384,7 +380,7 @@ def _checked(where: str, pose: TargetPose, chain: HeadChain) -> TargetPose:
     return TargetPose(pose.time_s, T_c_k, covariance, readings)
 
 
-def _observed(log: int, station: int, pose: TargetPose, at_rest: bool) -> Observation:
+def _observed(log: int, station: int, pose: TargetPose, track: WheelTrack) -> Observation:
     assert _TARGET.square_m is not None
     points = _TARGET.grid() * _TARGET.square_m
     nowhere = Corners(np.zeros((len(points), 2)), 1.0, 1, np.zeros(len(points), dtype=np.bool_))
@@ -392,11 +388,12 @@ def _observed(log: int, station: int, pose: TargetPose, at_rest: bool) -> Observ
     of_points = pose.covariance.copy()  # what was not measured counts as exact
     wide = np.diag(of_points) >= NOT_MEASURED**2
     of_points[wide], of_points[:, wide] = 0.0, 0.0
+    time_ns = round(pose.time_s * 1e9)
     return Observation(
         log=log,
         station=station,
-        time_ns=round(pose.time_s * 1e9),
-        at_rest=at_rest,
+        time_ns=time_ns,
+        at_rest=not _turned_around_rad(track, time_ns) > _STILL_RAD,
         joints=np.array(list(pose.joints.values())),
         joints_std=np.zeros(len(pose.joints)),
         views=(nowhere,),
