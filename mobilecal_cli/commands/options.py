@@ -117,8 +117,9 @@ def remove_earlier_junit(arguments: Sequence[str]) -> None:
     if named:
         from mobilecal_cli.report.junit import is_junit
 
-        for path in filter(is_junit, map(Path, named)):
-            path.unlink()
+        with suppress(OSError):  # the wrong command line is what the user has to hear of
+            for path in filter(is_junit, map(Path, named)):
+                path.unlink()
 
 
 @contextmanager
