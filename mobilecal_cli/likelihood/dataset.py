@@ -20,7 +20,7 @@ _LEAST_CLAIM_PX = 0.01  # the camera model is not more exact than this, whatever
 #: A component of a measured pose with a larger standard deviation, rad or m, was not measured.
 NOT_MEASURED = 100.0
 _LEAST_VARIANCE = 1e-6  # of a corner, relative to a usual one
-_OFF_THE_LINE = 1 / 8  # between a steady and a sudden change of the rate, see `between_readings`
+_OFF_THE_CURVE = 1 / 8  # a sudden change of the rate, see `between_readings`
 _MOVED_RAD, _NOISE_SIGMAS = 0.002, 6.0  # less than both is noise of a reading, not a motion
 _LOOKED_BACK = 64  # readings before a station, where a joint's last motion is looked for first
 # A joint in motion: its own direction counts, not how it got there.
@@ -147,8 +147,9 @@ def between_readings(
 ) -> FloatArray:
     """(N, K) sigma of K tracks of each recording at the stations, interpolated between two readings, rad or m.
 
-    A way that differs by d in the times T before and after an interval T bends the line in between: by d / 4 at most
-    if the rate changes at once, by d / 16 if it changes steadily. At rest, and where the tracks are not known, 0.
+    Where the ways in the times T before and after an interval T differ by d, the curve in between is off by d / 8 at
+    most if the rate changes at once, and by nothing if it changes steadily. At rest, and where the tracks are not
+    known, 0.
     """
     sigma = np.zeros((len(times_ns), count))
     for number, of_log in enumerate(tracks):
@@ -157,7 +158,7 @@ def between_readings(
             after = np.clip(np.searchsorted(track.time_ns, times_ns[mine]), 1, len(track.time_ns) - 1)
             begin, end = track.time_ns[after - 1], track.time_ns[after]
             ways = (track.at(2 * end - begin) - track.at(end), track.at(begin) - track.at(2 * begin - end))
-            sigma[mine, k] = _OFF_THE_LINE * np.abs(ways[0] - ways[1])
+            sigma[mine, k] = _OFF_THE_CURVE * np.abs(ways[0] - ways[1])
     return sigma
 
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Annotated
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, ReadOnly
 from mobilecal_cli.model.rig import CameraInfo, Side
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 #: Message types used in a calibration, in ROS 2 spelling.
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -134,9 +138,17 @@ def pauses(time_ns: IntArray) -> BoolArray:
     return seconds > max(_GAP_S, _GAP_INTERVALS * usual_s)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+#: Messages that arrive together are no jump of a joint: slope of a curve over the larger change per longer interval.
+_STEEPEST = 3.0
+
+
+@dataclass(frozen=True, eq=False)
 class Track(ReadOnly):
     """One quantity over time.
+
+    Between its readings it follows Akima's curve (J. ACM 17, 1970): exact for a steady rate or acceleration, and
+    without kinks. A line between readings would cut off where a wheel turns back: with ten readings per second, radii
+    came out 0.2 % too large.
 
     Attributes:
         time_ns: (n,) strictly increasing.
@@ -146,44 +158,47 @@ class Track(ReadOnly):
     time_ns: Annotated[IntArray, "n"]
     value: Annotated[FloatArray, "n"]
 
-    def at(self, times_ns: IntArray) -> FloatArray:
-        """Linearly interpolated values at some times, (n,) → (n,).
+    @cached_property
+    def _curve(self) -> PPoly:
+        """The value over the time since the first reading, ns."""
+        from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline, PPoly  # few commands need it
 
-        The time it takes does not depend on the length of the track: only the readings around those times are used.
-        """
-        if not len(times_ns):
-            return np.zeros(0)
-        begin = max(int(np.searchsorted(self.time_ns, times_ns.min())) - 1, 0)
-        end = int(np.searchsorted(self.time_ns, times_ns.max())) + 1
-        stamps, start = self.time_ns[begin:end], self.time_ns[begin]
-        # Offsets from the start are small enough for exact nanoseconds in float64.
-        offsets, samples = (times_ns - start).astype(np.float64), (stamps - start).astype(np.float64)
-        return np.asarray(np.interp(offsets, samples, self.value[begin:end]), dtype=np.float64)
+        if len(self.time_ns) == 1:
+            return PPoly(self.value[None], [0.0, 1.0])
+        offsets = self._since_start(self.time_ns)
+        change, interval = (np.pad(np.abs(np.diff(of)), 1, "edge") for of in (self.value, offsets))
+        steepest = _STEEPEST * np.maximum(change[1:], change[:-1]) / np.maximum(interval[1:], interval[:-1])
+        steepest[np.minimum(change[1:], change[:-1]) == 0] = (
+            0.0  # what rests is at rest from its first reading on
+        )
+        slope = Akima1DInterpolator(offsets, self.value)(offsets, nu=1)
+        return CubicHermiteSpline(offsets, self.value, np.clip(slope, -steepest, steepest))
+
+    @cached_property
+    def _integral(self) -> PPoly:
+        return self._curve.antiderivative()
+
+    def _since_start(self, times_ns: IntArray) -> FloatArray:
+        """Times since the first reading, ns, at most that of the last one: small enough for exact float64."""
+        inside_ns = np.clip(times_ns, self.time_ns[0], self.time_ns[-1])
+        return np.asarray(inside_ns - self.time_ns[0], dtype=np.float64)
+
+    def at(self, times_ns: IntArray) -> FloatArray:
+        """Values at some times, (n,) → (n,); before the first and after the last reading, these."""
+        return np.asarray(self._curve(self._since_start(times_ns)), dtype=np.float64)
+
+    def mean(self, times_ns: IntArray, width_ns: int) -> FloatArray:
+        """Mean of the values over an interval of a width around some times, (n,) → (n,)."""
+        ends_ns = times_ns + np.array([[-1], [1]]) * (width_ns // 2)
+        inside = self._since_start(ends_ns)
+        beyond = (ends_ns - self.time_ns[0]).astype(np.float64) - inside
+        earlier, later = self._integral(inside) + beyond * self._curve(inside)
+        return np.asarray((later - earlier) / (2 * (width_ns // 2)), dtype=np.float64)
 
     @property
     def gaps(self) -> IntArray:
         """Indices of the readings before a pause during which a wheel turned: its path there is unknown."""
         return np.flatnonzero(pauses(self.time_ns) & (np.abs(np.diff(self.value)) > _GAP_RAD))
-
-    def mean(self, times_ns: IntArray, width_ns: int) -> FloatArray:
-        """Mean of the interpolated values over an interval of a width around some times, (n,) → (n,).
-
-        Its derivative by the time is the difference of `at` at both ends over the width, without the kinks of `at`.
-        """
-        if not len(times_ns):
-            return np.zeros(0)
-        ends_ns = times_ns + np.array([[-1], [1]]) * (width_ns // 2)
-        begin = max(int(np.searchsorted(self.time_ns, ends_ns.min())) - 1, 0)
-        stamps, values = (
-            part[begin : np.searchsorted(self.time_ns, ends_ns.max()) + 1]
-            for part in (self.time_ns, self.value)
-        )
-        knots, ends = ((part - stamps[0]).astype(np.float64) for part in (stamps, ends_ns))
-        up_to_knots = np.append(0.0, np.cumsum(np.diff(knots) * (values[1:] + values[:-1]) / 2))
-        last = np.maximum(np.searchsorted(stamps, ends_ns, side="right") - 1, 0)  # the knot before each end
-        at_ends = np.interp(ends, knots, values)
-        integral = up_to_knots[last] + (ends - knots[last]) * (values[last] + at_ends) / 2
-        return np.asarray((integral[1] - integral[0]) / (2 * (width_ns // 2)), dtype=np.float64)
 
 
 def sampled(tracks: Sequence[Track], times_ns: IntArray) -> FloatArray:

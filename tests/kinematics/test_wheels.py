@@ -99,12 +99,14 @@ def test_an_arc_in_pieces_is_the_same_arc(right, left):
 
 def test_cut_at_interpolates_and_keeps_nanoseconds():
     start = 1_700_000_000_000_000_000
-    rolled_rad = [0.0, 1.0, 1.0, 3.0], [0.0, 2.0, 2.0, 2.0]
-    track = WheelTrack.at_same_times(start + np.array([0, 10, 20, 30]), *rolled_rad)
-    steps = cut_at(track, start + np.array([5, 15, 25]))
-    assert steps.legs == 2
-    assert steps.totals_rad == pytest.approx(np.array([[0.5, 1.0], [1.0, 0.0]]))
-    assert steps.right_rad == pytest.approx([0.5, 1.0])  # the standstill from 10 to 20 leaves no step
+    moments = start + 10 * np.arange(7)
+    track = WheelTrack.at_same_times(moments, np.arange(7) ** 2, [0, 1, 2, 3, 3, 3, 3])
+    steps = cut_at(track, start + np.array([15, 25, 40, 60]))
+    assert steps.legs == 3
+    assert steps.totals_rad[:, 0] == pytest.approx([4.0, 9.75, 20.0])
+    assert steps.left_rad[:2] == pytest.approx([0.5, 0.625])  # it stops at 30: at once, or braking before
+    still = WheelTrack.at_same_times(moments, np.zeros(7), [0, 1, 1, 1, 1, 1, 1])
+    assert cut_at(still, start + np.array([5, 35, 55])).leg.tolist() == [0]  # rest leaves no step
 
 
 def test_legs_are_renumbered_and_one_without_motion_stands_still():
@@ -192,15 +194,17 @@ def test_smooth_readings_have_no_step(count):
 
 
 def test_wheels_with_stamps_of_their_own_are_cut_at_the_readings_of_both():
-    """The increments between any two stations are those of each wheel's own line."""
+    """The increments between any two stations are those of each wheel's own curve."""
     start = 1_700_000_000_000_000_000
     right = Track(start + np.array([0, 10, 20, 30]), [0.0, 1.0, 1.0, 3.0])
     left = Track(start + np.array([-3, 5, 17, 40]), [0.0, 8.0, 8.0, 31.0])
     track = WheelTrack(right, left)
     assert (track.time_ns - start).tolist() == [0, 5, 10, 17, 20, 30]
-    steps = cut_at(track, start + np.array([2, 7, 30]))
-    assert steps.totals_rad == pytest.approx(np.array([[0.5, 3.0], [2.3, 13.0]]))
-    assert steps.right_rad == pytest.approx([0.3, 0.2, 0.3, 0.0, 2.0])
+    stations = start + np.array([2, 7, 30])
+    steps = cut_at(track, stations)
+    assert steps.totals_rad == pytest.approx(np.diff([right.at(stations), left.at(stations)]).T)
+    right_rad = np.diff(right.at(start + np.array([2, 5, 7, 10, 17, 20, 30])))
+    assert steps.right_rad == pytest.approx(np.delete(right_rad, 3))  # both rest from 10 to 17
     assert steps.leg.tolist() == [0, 0, 1, 1, 1]
 
 

@@ -51,7 +51,7 @@ def test_wheels_of_other_sizes_are_averaged_and_noted():
     found, notes = averaged([LEFT, 0.955 * LEFT])
     np.testing.assert_allclose(found["left"].value, 0.9775 * LEFT, atol=1e-9)
     (note,) = notes
-    assert note.startswith("left 1 turns by 95.4 rad and left 0 by 99.9 rad, 4.7 % more")
+    assert note.startswith("left 1 turns by 95.5 rad and left 0 by 100.0 rad, 4.7 % more")
 
 
 BROKEN = {
