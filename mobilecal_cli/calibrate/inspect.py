@@ -367,71 +367,95 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
         survey: of a recording whose image topics are known; the board's size is found in the images if its
             configuration does not state it.
     """
-    images, cameras, config = survey.sources.image, survey.cameras, survey.config
-    board, stated_m = config.board.stated, config.board.square_m
-    start, end = recording.start_ns, recording.end_ns
-    if start is None or end is None:
-        return None, []
-    moments = np.linspace(start, end, PICTURE_MOMENTS + 2)[1:-1].astype(np.int64).tolist()
-    sources = Sources(images, {}, {}, {}, layout=config.cameras.layout)
-    samples: dict[str, list[GrayImage | Rejection]] = {name: [] for name in images}
-    for name, picture in pictures_near(recording, sources, moments):
-        samples[name].append(picture)
+    cameras, stated, square_m = survey.cameras, survey.config.board.stated, survey.config.board.square_m
+    samples = _sampled(recording, survey)
     readable = [image for some in samples.values() for image in some if not isinstance(image, Rejection)]
     if not readable:
         broken = [image for some in samples.values() for image in some if isinstance(image, Rejection)]
         none = RecordingError("the recording contains no image", "record the cameras' images")
-        return None, [Finding.of("cameras", undecodable(broken) if broken else none)]
-    findings: list[Finding] = []
-    for name, some in samples.items() if cameras is not None else ():
-        first = next((image for image in some if not isinstance(image, Rejection)), None)
-        try:
-            if first is not None and cameras is not None:
-                check_picture(first, name, cameras)
-        except RecordingError as wrong_size:
-            findings.append(Finding.of("camera infos", wrong_size))
-    stated, others = board, 0
-    if board is None or not any(isinstance(find_board(image, board), Detection) for image in readable):
-        vote = identify_size(readable)
-        columns, rows = vote.size or (0, 0)
-        if vote.size is not None and board is not None:
-            if board.markers is not None:
-                unread = ObservationError(
-                    f"none of {len(readable)} images shows the markers of the stated {board.markers.kind} board, but a "
-                    f"checkerboard of {columns} x {rows} inner corners",
-                    "correct board.dictionary in rig.yaml, or leave out board.kind if the board has no markers",
-                )
-                findings.append(Finding.of("board", unread))
-            elif set(vote.size) != {board.columns, board.rows}:
-                findings.append(Finding.of("board", other_size(board, vote.size)))
-        board = None if vote.size is None else Board(*vote.size)
-        # A grid that is no larger may be this board, cut off by the image.
-        others = vote.beside + sum(n for size, n in vote.votes.items() if size[0] > columns or size[1] > rows)
-        if board is None and vote.votes:
-            findings.append(Finding.of("board", several_sizes(vote)))
-            return BoardView(len(readable), 0, None, other_sizes=others), findings
+        return None, [Finding.of("cameras", undecodable(broken) if broken else none)] if samples else []
+    findings = [] if cameras is None else list(_wrong_pictures(samples, cameras))
+    board, others, wrong = _shown(readable, stated)
+    findings += [Finding.of("board", error) for error in wrong]
     if board is None:
-        plain = stated is None or stated.markers is None
-        what = "a whole checkerboard" if plain else "the configured board"
-        what = f"{what} is in none of {len(readable)} images spread over the recording"
-        where = "an image" if cameras is None else cameras.images_words
-        where = "both images" if len(images) == 2 else where
-        cure = f"keep the whole board in {where}, in good light, with {readable_words(stated)}"
-        cure += f"; {OF_MARKERS}" if stated is None else ""
-        findings.append(Finding.of("board", ObservationError(what, cure)))
+        if not wrong:
+            findings.append(Finding.of("board", _no_board(survey, len(readable))))
         return BoardView(len(readable), 0, None, other_sizes=others), findings
     detections = {
         name: [None if isinstance(image, Rejection) else find_board(image, board) for image in some]
         for name, some in samples.items()
     }
-    detected = sum(
-        isinstance(detection, Detection) for of_camera in detections.values() for detection in of_camera
-    )
+    detected = sum(isinstance(each, Detection) for of_camera in detections.values() for each in of_camera)
     pairs = () if cameras is None or findings else _stereo_pairs(cameras, board, detections)
     squares_m = tuple(pair.square_m for pair in pairs)
-    findings += _wrong_square(stated_m, pairs) if stated_m and pairs else []
+    findings += _wrong_square(square_m, pairs) if square_m and pairs else []
     size = board.columns, board.rows
-    return BoardView(len(readable), detected, size, squares_m, stated_m, others), findings
+    return BoardView(len(readable), detected, size, squares_m, square_m, others), findings
+
+
+def _sampled(recording: Recording, survey: Survey) -> dict[str, list[GrayImage | Rejection]]:
+    """A few images of each camera, spread over the recording; nothing of one without messages."""
+    start, end, images = recording.start_ns, recording.end_ns, survey.sources.image
+    if start is None or end is None:
+        return {}
+    moments = np.linspace(start, end, PICTURE_MOMENTS + 2)[1:-1].astype(np.int64).tolist()
+    samples: dict[str, list[GrayImage | Rejection]] = {name: [] for name in images}
+    sources = Sources(images, {}, {}, {}, layout=survey.config.cameras.layout)
+    for name, picture in pictures_near(recording, sources, moments):
+        samples[name].append(picture)
+    return samples
+
+
+def _wrong_pictures(
+    samples: Mapping[str, Sequence[GrayImage | Rejection]], cameras: CameraRig
+) -> Iterator[Finding]:
+    """Images of another size than their camera infos state."""
+    for name, some in samples.items():
+        first = next((image for image in some if not isinstance(image, Rejection)), None)
+        try:
+            if first is not None:
+                check_picture(first, name, cameras)
+        except RecordingError as wrong_size:
+            yield Finding.of("camera infos", wrong_size)
+
+
+def _shown(
+    readable: Sequence[GrayImage], stated: Board | None
+) -> tuple[Board | None, int, list[ObservationError]]:
+    """The stated board if an image shows it, or the one that most images show; images of others; what is wrong."""
+    if stated is not None and any(isinstance(find_board(image, stated), Detection) for image in readable):
+        return stated, 0, []
+    vote = identify_size(readable)
+    columns, rows = vote.size or (0, 0)
+    # A grid that is no larger may be this board, cut off by the image.
+    others = vote.beside + sum(n for size, n in vote.votes.items() if size[0] > columns or size[1] > rows)
+    if vote.size is None:
+        return None, others, [several_sizes(vote)] if vote.votes else []
+    wrong = []
+    if stated is not None and stated.markers is not None:
+        unread = ObservationError(
+            f"none of {len(readable)} images shows the markers of the stated {stated.markers.kind} board, but a "
+            f"checkerboard of {columns} x {rows} inner corners",
+            "correct board.dictionary in rig.yaml, or leave out board.kind if the board has no markers",
+        )
+        wrong.append(unread)
+    elif stated is not None and {columns, rows} != {stated.columns, stated.rows}:
+        wrong.append(other_size(stated, vote.size))
+    return Board(columns, rows), others, wrong
+
+
+def _no_board(survey: Survey, images: int) -> ObservationError:
+    """The error for images that show no board."""
+    stated = survey.config.board.stated
+    plain = stated is None or stated.markers is None
+    where = "an image" if survey.cameras is None else survey.cameras.images_words
+    where = "both images" if len(survey.sources.image) == 2 else where
+    cure = f"keep the whole board in {where}, in good light, with {readable_words(stated)}"
+    return ObservationError(
+        f"{'a whole checkerboard' if plain else 'the configured board'} is in none of {images} images spread over the "
+        "recording",
+        f"{cure}; {OF_MARKERS}" if stated is None else cure,
+    )
 
 
 def _wrong_square(stated_m: float, pairs: Sequence[Measured]) -> list[Finding]:
