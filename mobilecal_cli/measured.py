@@ -17,6 +17,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.arguments import all_of, by_name, require
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.dataset import NOT_MEASURED
+from mobilecal_cli.likelihood.measurements import planar_pose
 from mobilecal_cli.model import (
     NINE,
     Board,
@@ -43,6 +44,8 @@ _TARGET: Final = Board(4, 3, 0.1)  # points of the target, for errors in mm
 _NO_ROTATION = 1e-3  # R^T R of a rotation with four digits differs less from the identity
 _LEAST_SIGMA = 1e-6  # rad, m: no pose is measured so exactly; unknown covariances are often zero
 _FARTHEST_M = 100.0  # of a target or a sensor
+_CLEAR = 100.0  # times the noise of a motion: what is far from it
+_BOTH_RAD = ("right_rad", "left_rad")
 _WHEELS = "the radius of the right and the left wheel, and their separation, m"
 # A pose around which the wheels turn is one in motion, if they are read more often than that meanwhile.
 _AROUND_NS, _FEW_READINGS = 250_000_000, 2
@@ -112,50 +115,25 @@ def from_poses(
             readings that are not finite, a pose that is no rigid transform, a joint of the chain without a reading, a
             covariance that is not positive definite, an unknown noise level, or an argument of another type.
     """
-    wheels = WheelGeometry(
-        *(
-            of_parameter(name).check(f"wheels_m: {name}", value)
-            for name, value in zip(
-                NINE[6:], _array("wheels_m", wheels_m, _WHEELS, (3,)).tolist(), strict=True
-            )
-        )
-    )
-    if T_h_c is not None:
-        T_h_c = _rigid("T_h_c", T_h_c)
-    chain = HeadChain("base", "base", ()) if chain is None else chain
-    require("chain", chain, HeadChain, "a HeadChain, or None for a sensor that is fixed to the base")
-    levels, known = dict(by_name("noise", noise)), Noise.limits("guess")
-    for name, value in levels.items():
-        if name not in known:
-            raise ConfigError(f"noise: {name}: no such noise level", f"noise levels: {', '.join(known)}")
-        levels[name] = SIGMA.check(f"noise: {name}", value)
+    rig = _rig(wheels_m, HeadChain("base", "base", ()) if chain is None else chain, T_h_c, noise)
     observations, tracks, notes = [], [], []
     for log, drive in enumerate(all_of("drives", drives, Drive, "a list of mc.Drive")):
         where = f"drive {log + 1}"
         poses = all_of(f"{where}: poses", drive.poses, TargetPose, "a list of mc.TargetPose")
         in_order = sorted(poses, key=lambda pose: number_of(f"{where}: time_s of a pose", pose.time_s))
         tracks.append(_wheels(where, drive, [pose.time_s for pose in in_order]))
-        checked = [_checked(f"{where}, pose {k}", pose, chain) for k, pose in enumerate(in_order, 1)]
+        checked = [_checked(f"{where}, pose {k}", pose, rig.chain) for k, pose in enumerate(in_order, 1)]
         stations = _at_stops(tracks[-1], checked)
-        observations += [_observed(log, k, pose, tracks[-1]) for k, pose in enumerate(stations)]
+        observations += [_observed(log, k, pose, tracks[-1], _TARGET) for k, pose in enumerate(stations)]
         if len(stations) < len(checked):
             notes.append(
                 f"{where}: of several poses at one stop, the median counts: {len(checked)} are {len(stations)}."
             )
     if not observations:
         raise ConfigError("drives: no poses", "give drives with poses of a target")
-    nowhere, wheel = {"camera": ""}, WheelSource("measured")
-    rig = Rig(
-        CameraRig(("camera",), (_NO_CAMERA,), np.eye(4)[None], False, np.eye(3)[None], "camera"),
-        chain,
-        Nominal(T_h_c, wheels),
-        Sources(nowhere, nowhere, {}, {"right": wheel, "left": wheel}),
-        {},
-        levels,
-    )
     # Readings at the poses alone do not show how the joints move, so only the clock of the wheels is estimated.
     unknown = tuple(
-        tuple(Track(track.right.time_ns[[0, -1]], np.zeros(2)) for _ in chain.joints) for track in tracks
+        tuple(Track(track.right.time_ns[[0, -1]], np.zeros(2)) for _ in rig.chain.joints) for track in tracks
     )
     joint_tracks = () if all(o.at_rest for o in observations) else unknown
     return Extraction(
@@ -174,7 +152,7 @@ def from_motions(
     Each leg is a recording of its own: legs need not follow one another.
 
     Args:
-        motions: legs, in any order.
+        motions: legs, in any order; in that of the drive, more mistakes are named.
         wheels_m: nominal radius of the right and left wheel, and their separation, m.
         T_v_c: (4, 4) nominal sensor coordinates to base coordinates, m; height, roll and pitch stay as they are.
         noise: known noise levels: name → standard deviation, see `Noise`.
@@ -185,31 +163,78 @@ def from_motions(
     """
     if not (motions := all_of("motions", motions, SensorMotion, "a list of mc.SensorMotion")):
         raise ConfigError("motions: none is given", "give a list of mc.SensorMotion")
-    T_v_c = _rigid("T_v_c", T_v_c)
-    ahead = se3.transform(np.eye(3), np.array([0.0, 0.0, 1.0]))
-    nothing = np.diag(np.full(6, math.inf))
-    drives = []
+    rig = _rig(wheels_m, HeadChain("base", "base", ()), _rigid("T_v_c", T_v_c), noise)
+    tracks = []
     for number, leg in enumerate(motions, 1):
-        x, y, heading = _array(f"leg {number}: motion", leg.motion, "x, y and heading", (3,)).tolist()
-        T = se3.transform(se3.rotation_z(np.array(heading)), np.array([x, y, 0.0]))
-        poses = TargetPose(0.0, ahead, nothing), TargetPose(1.0, se3.inverse(T) @ ahead, nothing)
-        turned = [
-            np.array([0.0, number_of(f"leg {number}: {name}", getattr(leg, name))])
-            for name in ("right_rad", "left_rad")
-        ]
-        drives.append(Drive(poses, np.array([0.0, 1.0]), *turned))
-        _require_positive(f"leg {number}", leg.covariance, 3, "give a covariance of x, y and heading")
-    extraction = from_poses(drives, wheels_m, None, T_v_c, noise)
-    observations = list(extraction.observations)
-    for end, leg in zip(range(1, 2 * len(motions), 2), motions, strict=True):
+        where = f"leg {number}"
+        motion = _array(f"{where}: motion", leg.motion, "x, y and heading", (3,))
+        if not np.isfinite(motion).all():
+            raise ConfigError(f"{where}: motion: {motion} is not finite", "leave out motions that failed")
+        if (far_m := math.hypot(*motion[:2])) > _FARTHEST_M:
+            raise ConfigError(
+                f"{where}: a motion of {far_m:.0f} m (limit {_FARTHEST_M:g} m)", "give x and y in m"
+            )
+        turned = [np.array([0.0, number_of(f"{where}: {name}", getattr(leg, name))]) for name in _BOTH_RAD]
+        tracks.append(_wheels(where, Drive((), np.array([0.0, 1.0]), *turned), ()))
+        _require_positive(where, leg.covariance, 3, "give a covariance of x, y and heading")
+    # A target ahead, which none sees, makes points of the motions: as far as they are long or far from their noise.
+    moved = np.array([leg.motion for leg in motions])
+    sigma = np.sqrt(np.median([np.diag(leg.covariance) for leg in motions], axis=0))
+    away_m = max(math.hypot(*np.sqrt(np.mean(moved[:, :2] ** 2, axis=0))), _CLEAR * float(sigma[:2].max()))
+    target = replace(_TARGET, square_m=away_m / 3 * min(1.0, 1 / (_CLEAR * float(sigma[2]))))
+    ahead = se3.transform(np.eye(3), np.array([0.0, 0.0, away_m]))
+    observations = []
+    for log, (leg, track) in enumerate(zip(motions, tracks, strict=True)):
         # The motion's error as one of the pose at its end: (x, y, heading) are the columns of translation and rotation.
         of_pose = np.zeros((6, 3))
         of_pose[[3, 4, 2], [0, 1, 2]] = 1.0
         covariance = of_pose @ leg.covariance @ of_pose.T
-        observations[end] = replace(
-            observations[end], points_cov=_points_cov(observations[end].points_c, covariance)
+        nothing = np.diag(np.full(6, NOT_MEASURED**2))
+        for station, T in enumerate((np.eye(4), planar_pose(leg.motion))):
+            pose = TargetPose(float(station), se3.inverse(T) @ ahead, nothing)
+            seen = _observed(log, station, pose, track, target)
+            if station:
+                seen = replace(seen, points_cov=_points_cov(seen.points_c, covariance))
+            observations.append(seen)
+    return Extraction(rig, target, tuple(observations), tuple(tracks), (), (), (), {}, motions=motions)
+
+
+def _rig(
+    wheels_m: tuple[float, float, float],
+    chain: HeadChain,
+    T_h_c: FloatArray | None,
+    noise: Mapping[str, float] | None,
+) -> Rig:
+    """A robot without cameras.
+
+    Raises:
+        ConfigError: see `from_poses`.
+    """
+    wheels = WheelGeometry(
+        *(
+            of_parameter(name).check(f"wheels_m: {name}", value)
+            for name, value in zip(
+                NINE[6:], _array("wheels_m", wheels_m, _WHEELS, (3,)).tolist(), strict=True
+            )
         )
-    return replace(extraction, observations=tuple(observations), motions=motions)
+    )
+    if T_h_c is not None:
+        T_h_c = _rigid("T_h_c", T_h_c)
+    require("chain", chain, HeadChain, "a HeadChain, or None for a sensor that is fixed to the base")
+    levels, known = dict(by_name("noise", noise)), Noise.limits("guess")
+    for name, value in levels.items():
+        if name not in known:
+            raise ConfigError(f"noise: {name}: no such noise level", f"noise levels: {', '.join(known)}")
+        levels[name] = SIGMA.check(f"noise: {name}", value)
+    nowhere, wheel = {"camera": ""}, WheelSource("measured")
+    return Rig(
+        CameraRig(("camera",), (_NO_CAMERA,), np.eye(4)[None], False, np.eye(3)[None], "camera"),
+        chain,
+        Nominal(T_h_c, wheels),
+        Sources(nowhere, nowhere, {}, {"right": wheel, "left": wheel}),
+        {},
+        levels,
+    )
 
 
 def _array(
@@ -380,9 +405,9 @@ def _checked(where: str, pose: TargetPose, chain: HeadChain) -> TargetPose:
     return TargetPose(pose.time_s, T_c_k, covariance, readings)
 
 
-def _observed(log: int, station: int, pose: TargetPose, track: WheelTrack) -> Observation:
-    assert _TARGET.square_m is not None
-    points = _TARGET.grid() * _TARGET.square_m
+def _observed(log: int, station: int, pose: TargetPose, track: WheelTrack, target: Board) -> Observation:
+    assert target.square_m is not None
+    points = target.grid() * target.square_m
     nowhere = Corners(np.zeros((len(points), 2)), 1.0, 1, np.zeros(len(points), dtype=np.bool_))
     points_c = se3.act(pose.T_c_k[None], points)[0]
     of_points = pose.covariance.copy()  # what was not measured counts as exact
@@ -401,7 +426,7 @@ def _observed(log: int, station: int, pose: TargetPose, track: WheelTrack) -> Ob
         points_cov=_points_cov(points_c, of_points),
         T_c_k=pose.T_c_k,
         T_c_k_cov=pose.covariance,
-        square_m=_TARGET.square_m,
+        square_m=target.square_m,
         reprojection_px=0.0,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -160,6 +161,23 @@ class LogSource:
     sha256: str
 
 
+#: Words that mean nothing where poses were measured, and what does.
+_OF_ARGUMENTS = (
+    (r",? or state ticks_per_revolution: 360 in rig\.yaml|( in head\.chain)? or in the URDF", ""),
+    (r"the head chain in the URDF, and ", ""),
+    (r"the unit and the ticks_per_revolution of the wheel readings", "the unit of the rotations of the wheels"),
+    (r"set the unit in joints\.fields in rig\.yaml", "give them in rad"),
+    (r"board\.square_m, of the camera poses", "the measured poses"),
+    (r"wheels\.(left|right)(\.sign)?\b", r"\1_rad"),
+    (r"nominal\.wheels", "wheels_m"),
+    (r"nominal\.head_eye", "T_h_c"),
+    (r"(: bits)? in rig\.yaml", ""),
+    (r"\btopics, ", ""),
+    (r"with the whole board in the images", "with the whole target in view"),
+    (r"\bthe images\b", "the poses"),
+    (r"\b([Cc])amera", lambda found: f"{'S' if found[1] == 'C' else 's'}ensor"),
+    (r"\b(the|neither the|nor the) board\b", r"\1 target"),
+)  # fmt: skip
 _NOTED = 3  # notes that a hint repeats
 
 
@@ -234,6 +252,12 @@ class Extraction:
     def first_notes(self) -> tuple[str, ...]:
         """Notes that the hint of an error repeats, each without its last dot."""
         return tuple(note.removesuffix(".") for note in self.notes[:_NOTED])
+
+    def worded(self, text: str) -> str:
+        """A text for the user, about arguments of Python and a sensor where there are neither rig.yaml nor images."""
+        for word, instead in _OF_ARGUMENTS if self.measured else ():
+            text = re.sub(word, instead, text)
+        return text.replace("T_h_c", "T_v_c") if self.motions else text
 
     def of_log(self, log: int) -> Extraction:
         """The measurements of one log."""

@@ -821,6 +821,7 @@ def noise(case: Case, *levels: Metric) -> Iterator[Check]:
     stated = ", and the priors in rig.yaml" if case.extraction.rig.prior_sigmas else ""
     if case.extraction.measured:
         stated = ", and that the covariances of the poses state rotations and translations equally well"
+        stated += ", and motions and rotations are between the same times" * bool(case.extraction.motions)
     for metric in levels:
         (usual, bad, name, cause), (field, unit) = _NOISE[metric], measured[metric.name]
         level = unit * getattr(found, field)

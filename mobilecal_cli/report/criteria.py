@@ -45,6 +45,7 @@ class Case:
         found = [(each, check) for each in CRITERIA for check in each.judge(self, *each.metrics)]
         found = [(each, check) for each, check in found if check.unit not in without]
         changed = any(check.id == CHANGED and check.outcome == "fail" for _, check in found)
+        found = [(each, check.worded(self.extraction.worded)) for each, check in found]
         return tuple(
             replace(check, outcome="warning") if changed and each.of_change and check.why else check
             for each, check in found
@@ -91,6 +92,10 @@ class Check:
     def label(self) -> str:
         """The outcome in words."""
         return self.outcome.replace("_", " ")
+
+    def worded(self, text: Callable[[str], str]) -> Check:
+        """The same, with each text in other words."""
+        return replace(self, name=text(self.name), why=text(self.why), next_step=text(self.next_step))
 
     @property
     def met(self) -> bool:

@@ -45,6 +45,8 @@ _FREE_STEPS = 30  # of this estimate
 _SPREAD = 0.01  # of the board's corners over the distance: stations beyond count less in this estimate
 # Prior sigmas, rad and m, of the nominal head-eye transform in this estimate, and of one along the head's axes
 _NOMINAL_MOUNT, _ANY_MOUNT = np.repeat([0.2, 0.05], 3), np.repeat([0.6, 0.2], 3)
+_LEAST_SHARE, _TINY = 0.02, 1e-12  # of a leg, by which the wheels are late; and of a square
+_NOT_WRAPPED = 2.5  # rad: a heading that nominal wheels say is smaller is not a full turn off
 _SCOUT_STATIONS, _SCOUT_STEPS = 12, 10  # with which the latter is chosen
 #: With which readings of wheels are made where none are nominal.
 ANY_WHEELS = WheelGeometry(0.1, 0.1, 0.4)
@@ -194,6 +196,101 @@ def _poses(readings: Readings) -> Iterator[Hypothesis]:
             "give T_c_k, which takes target coordinates to coordinates of a sensor on the head",
             lambda r: replace(r, T_c_k=se3.inverse(head_pose(r.rig.chain, r.joints)) @ r.T_c_k),
         )
+
+
+def _motions(readings: Readings) -> Iterator[Hypothesis]:
+    """Units, signs, frames and times of the motions of a planar sensor."""
+    for cause, cure, change in _OF_MOTIONS:
+        right = partial(Readings.with_motions, motions=change(readings.motions))
+        yield Hypothesis(f"the motions {cause}", f"give {cure}", right)
+    motions, turned = readings.motions, readings.pairs.steps.totals_rad
+    again = np.append(False, np.all(motions[1:] == motions[:-1], axis=1))
+    again[1:] &= np.abs(np.diff(turned, axis=0)).max(axis=1) > MOVED
+    if again.any():
+        yield Hypothesis(
+            f"{again.sum()} of {len(again)} motions repeat that of the leg before, but the wheels turn otherwise",
+            "give each motion once: check that the sensor measures one in each leg",
+            partial(Readings.of, stations=~again[readings.log]),
+        )
+
+
+def _late_wheels(readings: Readings) -> Iterator[Hypothesis]:
+    """Rotations of the wheels that begin and end late or early, on legs that follow one another and take as long."""
+    motions, turned = readings.motions, readings.pairs.steps.totals_rad
+    wheels = readings.nominal.wheels or ANY_WHEELS
+    turns_rad = turned @ [wheels.radius_right_m, -wheels.radius_left_m] / wheels.separation_m
+    for by, when in ((1, "late"), (-1, "early")):
+        before = np.roll(motions, by, axis=0)
+        # The share of a leg with which the wheels' rotations explain the headings best; one leg has none before it.
+        own = np.maximum(np.abs(turns_rad), np.abs(np.roll(turns_rad, by))) < _NOT_WRAPPED
+        own[0 if by > 0 else -1] = False
+        free = np.eye(int(own.sum())) - turned[own] @ np.linalg.pinv(turned[own])
+        other = free @ (before - motions)[own, 2]
+        share = -float(other @ motions[own, 2]) / max(float(other @ other), _TINY)
+        for late in (share, 1.0) if share > _LEAST_SHARE else (1.0,):
+            yield Hypothesis(
+                f"the rotations of the wheels are those of about {100 * late:.0f} % of a leg too {when}",
+                "give motions and rotations between the same times",
+                partial(Readings.with_motions, motions=_moved_on(before, motions, late, by)),
+            )
+
+
+def _moved_on(before: FloatArray, motions: FloatArray, share: float, by: int) -> FloatArray:
+    """(L, 3) motions of which a share is that of the leg before, or after, at even speed."""
+    parts = (planar_pose(motions), 1 - share), (planar_pose(before), share)
+    first, last = (se3.exp(part * se3.log(T)) for T, part in parts[::-by])
+    return _planar(first @ last)
+
+
+def _relative(motions: FloatArray, back: FloatArray) -> FloatArray:
+    """(L, 3) motions in the frame at their start, from those in one that is turned back by angles (L,)."""
+    turned = planar_pose(np.column_stack([np.zeros((len(back), 2)), -back])) @ planar_pose(motions)
+    return np.column_stack([turned[:, :2, 3], motions[:, 2]])
+
+
+def _differences(motions: FloatArray) -> FloatArray:
+    """(L, 3) motions between poses (L, 3) that follow one another, from the first frame on."""
+    T = planar_pose(np.concatenate([np.zeros((1, 3)), motions]))
+    return _planar(se3.inverse(T[:-1]) @ T[1:])
+
+
+def _planar(T: FloatArray) -> FloatArray:
+    """(n, 3) x, y and heading of poses (n, 4, 4)."""
+    return np.column_stack([T[:, :2, 3], heading_of(T)])
+
+
+def _after_turns(motions: FloatArray, first_rad: float) -> FloatArray:
+    return _relative(motions, first_rad + np.cumsum(motions[:, 2]) - motions[:, 2])
+
+
+_TO_SENSOR = "motions of the sensor in its own frame at the start of each leg"
+#: What is wrong with motions, what to give, and what makes motions (L, 3) right.
+_OF_MOTIONS: tuple[tuple[str, str, Callable[[FloatArray], FloatArray]], ...] = (
+    ("have headings in degrees", "headings in rad", lambda m: m * [1, 1, math.pi / 180]),
+    ("have x and y exchanged", "x and y in this order", lambda m: m[:, [1, 0, 2]]),
+    (
+        "are inverted",
+        "the pose of the sensor at the end in its frame at the start",
+        lambda m: _planar(se3.inverse(planar_pose(m))),
+    ),
+    ("are poses since the first leg", _TO_SENSOR, _differences),
+    *(
+        (
+            "are differences of coordinates in a fixed frame",
+            _TO_SENSOR,
+            partial(_after_turns, first_rad=turn_rad),
+        )
+        for turn_rad in (0.0, 2.0, -2.0)
+    ),
+    (
+        "are those of a sensor whose z points the other way than T_v_c says",
+        "T_v_c of the frame of the motions, or y and heading with the other sign",
+        lambda m: m * [1, -1, -1],
+    ),
+    ("have the wrong sign of y", "y to the left of x", lambda m: m * [1, -1, 1]),
+    ("have the wrong sign of x", "x and y of one right-handed frame with z up", lambda m: m * [-1, 1, 1]),
+    ("have the wrong sign of heading", "headings that increase counterclockwise", lambda m: m * [1, 1, -1]),
+)
 
 
 def interruptions(readings: Readings) -> Iterator[Hypothesis]:
@@ -515,3 +612,6 @@ WHOLE: Stages = ((_joints, _wheels, _poses, interruptions), (_delays, _neighbors
 TWO: Stages = ((_two,),)
 FROZEN: Stages = ((partial(_joints_as_seen, frozen=True),),)
 FREE: Stages = ((partial(_joints_as_seen, frozen=False),), (_free_wheels,))
+#: The same for the motions of a planar sensor, and clocks.
+MOTIONS: Stages = ((_motions, _wheels),)
+LATE: Stages = ((_late_wheels,),)

@@ -9,7 +9,12 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import MotionSeen, encoder_steps_rad, head_pose, motion_seen
-from mobilecal_cli.likelihood.measurements import MotionPairs, steps_between
+from mobilecal_cli.likelihood.measurements import (
+    MotionPairs,
+    legs_between,
+    planar_pose,
+    steps_between,
+)
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Rig, Track, WheelTrack
 from mobilecal_cli.solvers.linear import InitialPrior, nominal_of
 
@@ -33,6 +38,8 @@ class Readings:
         wheels, joint_tracks: see `Extraction`.
         reprojection_px: at most stations, of the board where the images show it.
         measured: whether the board's poses were measured in place of corners.
+        motions: (L, 3) x, y (m) and heading (rad) of a planar sensor, one for each recording; none where there is a
+            board.
     """
 
     rig: Rig
@@ -45,11 +52,19 @@ class Readings:
     joint_tracks: tuple[tuple[Track, ...], ...]
     reprojection_px: float
     measured: bool
+    motions: FloatArray
 
     def of(self, stations: IntArray | BoolArray | slice) -> Readings:
         """Some stations alone."""
         by_station = ("T_c_k", "joints", "time_ns", "log")
         return replace(self, **{name: getattr(self, name)[stations] for name in by_station})
+
+    def with_motions(self, motions: FloatArray) -> Readings:
+        """With other motions (L, 3) of a planar sensor, and the poses of a target that follow."""
+        ends = legs_between(self.log)
+        T_c_k = self.T_c_k.copy()
+        T_c_k[ends[:, 1]] = se3.inverse(planar_pose(motions[self.log[ends[:, 1]]])) @ T_c_k[ends[:, 0]]
+        return replace(self, T_c_k=T_c_k, motions=motions)
 
     def at_s(self, station: int) -> str:
         """Time of a station from the beginning of its recording."""
@@ -115,4 +130,5 @@ def readings_of(extraction: Extraction) -> Readings:
         extraction.joint_tracks,
         float(np.median([o.reprojection_px for o in observations])),
         extraction.measured,
+        np.array([each.motion for each in extraction.motions]).reshape(-1, 3),
     )

@@ -33,6 +33,8 @@ from mobilecal_cli.solvers.hypotheses import (
     ANY_WHEELS,
     FREE,
     FROZEN,
+    LATE,
+    MOTIONS,
     MOVED,
     SIDES,
     TWO,
@@ -51,6 +53,7 @@ from mobilecal_cli.solvers.transfer import dead_reckoned, leg_rms_m, point_rms_m
 FITS = 0.02
 _FITS_CHANGED = FITS / 2  # the parts before and after a change
 _FITS_TWO = FITS / 2  # two mistakes: there are many pairs
+_FITS_LATE = 5 * FITS  # rotations of another time: no leg is as even as that supposes
 _FITS_FREE = FITS / 4  # with a free part: it takes up other mistakes too, but never to the level of the noise
 _BETTER = 0.4  # and at most this share of the misfit without the correction
 _EQUAL = 1.5  # hypotheses whose misfits differ by less cannot be distinguished
@@ -64,6 +67,7 @@ _CARRIED, _LESS = (
     0.05,
     10.0,
 )  # the way of a base that carries the board, over the distance; by such smaller wheels
+_ALIKE = 0.05  # share of the wheels' rotations on legs that are alike
 _SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
 # Two boards by nominal values: how near to its place each is and how far apart they are, as shares; least changes
 _SAME_BOARD, _BOARDS_APART, _FEWEST_CHANGES = 0.3, 0.1, 3
@@ -133,7 +137,8 @@ class Search:
     @property
     def _base(self) -> float | None:
         """Misfit of the readings as they stand; None if nothing fits them, or if their motion does not show it."""
-        return None if self._as_is is None or not self._readings.distinguishes else self._as_is.misfit
+        shown = self._readings.distinguishes or self.extraction.motions
+        return self._as_is.misfit if self._as_is is not None and shown else None
 
     @cached_property
     def misfit(self) -> float | None:
@@ -165,6 +170,12 @@ class Search:
         at_rest = _same_view(self._readings) or self.carried
         if at_rest is None and self._fits:
             return self.other_wheels
+        if self.extraction.motions:
+            return (
+                at_rest
+                or self._named(self._readings, MOTIONS)
+                or self._named(self._readings, LATE, _FITS_LATE)
+            )
         return (
             at_rest
             or self._named(self._readings, WHOLE)
@@ -177,6 +188,8 @@ class Search:
         """The mistake in all readings, or else in some: of one recording, from a station on, or of one sensor."""
         if self.of_whole is not None:
             return self.of_whole
+        if self.extraction.motions:
+            return None
         if len(self._readings.wheels) > 1:  # most legs may fit without those of a short recording
             return self._of_one_log() or self._named(self._readings, ((of_one_recording,),))
         if self._fits:
@@ -235,7 +248,7 @@ class Search:
         starts = [ratios_of(nominal or ANY_WHEELS)]
         if self._readings.distinguishes:
             try:
-                linear = linear_estimate(_thinned(self._readings.pairs), nominal).parameters
+                linear = linear_estimate(_thinned(self._readings), nominal).parameters
                 starts.append(np.abs(ratios_of(linear.wheels)) * [1.0, -1.0])
             except (SolveError, np.linalg.LinAlgError):
                 pass
@@ -253,7 +266,7 @@ class Search:
         full, shown = readings.distinguishes, readings.roams
         if not (shown or readings is self._readings):
             return []
-        pairs = _thinned(readings.pairs)
+        pairs = _thinned(readings)
         distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())
         scores: list[_Score] = []
         for ratios in self._starts if full else [np.zeros(2)]:
@@ -276,6 +289,9 @@ class Search:
             carried = shown and float((pairs.steps.totals_rad * radii_m).max()) < _CARRIED * distance_m
             carried &= nominal.wheels is None or bool(radii_m.max() * _LESS < nominal.wheels.vector[:2].min())
             possible = not shown or (parameters.wheels.positive and not carried)
+            possible &= not len(readings.motions) or bool(
+                X[:3, 2] @ parameters.T_h_c[:3, 2] > 0
+            )  # z stays up
             turned_rad = float(np.linalg.norm(se3.log_so3(turn)))
             scores.append(_Score(misfit, of_all, turned_rad, parameters.wheels, carried, possible))
         return sorted(scores, key=lambda score: score.misfit)
@@ -303,8 +319,8 @@ class Search:
             equal = [(fit, row) for fit, row in fitting if fit.misfit < _EQUAL * least]
             nearest = min(fit.turned_rad for fit, _ in equal)
             named = [row for fit, row in equal if fit.turned_rad < nearest + _SAME_RAD]
-            cures = dict.fromkeys(row.cure for row in named)
-            return Diagnosis(" or ".join(row.cause for row in named), ", or ".join(cures), self._base, least)
+            causes, cures = (dict.fromkeys(getattr(row, name) for row in named) for name in ("cause", "cure"))
+            return Diagnosis(" or ".join(causes), ", or ".join(cures), self._base, least)
         return None
 
     def _of_one_log(self) -> Diagnosis | None:
@@ -379,11 +395,14 @@ class Search:
         )
 
 
-def _thinned(pairs: MotionPairs) -> MotionPairs:
-    legs = len(pairs.legs)
+def _thinned(readings: Readings) -> MotionPairs:
+    legs = readings.legs
     if legs <= _MOST_LEGS:
-        return pairs
-    return pairs.select(np.linspace(0, legs - 1, _MOST_LEGS).round().astype(np.int64))
+        return readings.pairs
+    some = np.linspace(0, legs - 1, _MOST_LEGS).round().astype(np.int64)
+    if len(readings.motions):  # each is a recording
+        return readings.of(np.isin(readings.log, some)).pairs
+    return readings.pairs.select(some)
 
 
 def _misfit(pairs: MotionPairs, parameters: Parameters, distance_m: float) -> tuple[float, IntArray]:
@@ -398,16 +417,21 @@ def _misfit(pairs: MotionPairs, parameters: Parameters, distance_m: float) -> tu
 
 def _same_view(readings: Readings) -> Diagnosis | None:
     """All stations show the board at the same place while joints or wheels move."""
-    away = se3.inverse(readings.T_c_k[0]) @ readings.T_c_k
-    distance_m = float(np.linalg.norm(readings.T_c_k[0, :3, 3]))
+    turned, motions = readings.pairs.steps.totals_rad, len(readings.motions) > 0
+    views = readings.T_c_k[readings.pairs.legs[:, 1]] if motions else readings.T_c_k
+    away = se3.inverse(views[0]) @ views
+    distance_m = float(np.linalg.norm(views[0, :3, 3]))
     still = np.linalg.norm(se3.log_so3(away[:, :3, :3]), axis=-1).max() < _SAME_VIEW
     still &= np.linalg.norm(away[:, :3, 3], axis=-1).max() < _SAME_VIEW * distance_m
-    moves = [
-        np.ptp(readings.joints, axis=0),
-        np.abs(readings.pairs.steps.totals_rad).max(axis=0, initial=0.0),
-    ]
-    if not still or np.concatenate(moves).max() <= MOVED:
+    most_rad = np.abs(turned).max(initial=0.0)
+    moves = np.ptp(turned, axis=0).max() - _ALIKE * most_rad if motions else most_rad
+    if not still or max(moves, np.ptp(readings.joints, axis=0).max(initial=0.0)) <= MOVED:
         return None
+    if motions:
+        return Diagnosis(
+            "all motions are the same, but the wheels turn otherwise on each leg",
+            "give the motion of each leg: check that the sensor is not frozen",
+        )
     return Diagnosis(
         "all stations show the board at the same place, but the base or the head moves",
         "check that the images are not frozen, and that the board does not move with the robot",
@@ -443,7 +467,7 @@ def _two_boards(readings: Readings) -> Diagnosis | None:
     )
 
 
-def turned_around(rig: Rig, T_h_c: FloatArray) -> Diagnosis | None:
+def turned_around(rig: Rig, T_h_c: FloatArray, measured: bool) -> Diagnosis | None:
     """A camera on the base that is upside down or looks back against its nominal pose: wheels that are exchanged.
 
     A planar drive with exchanged or reversed wheels fits as well as the right one, with the base turned by 180 degrees.
@@ -457,7 +481,7 @@ def turned_around(rig: Rig, T_h_c: FloatArray) -> Diagnosis | None:
     upside_down, backward = bool(turn[2, 2] < 0), bool(turn[0, 0] < 0)
     # Upside down, the base turns the other way; turned about the vertical, it drives backwards and turns as before.
     cause, cure = of_sides(rig, upside_down != backward, ("right", "left") if backward else ())
-    one = len(rig.cameras.names) == 1
+    one = len(rig.cameras.names) == 1 and not measured
     return Diagnosis(
         f"{cause}, or the nominal pose of the camera is that of another frame{', or the images are mirrored' * one}",
         f"{cure}, or correct nominal.head_eye{', or turn off mirroring in the driver of the camera' * one}",

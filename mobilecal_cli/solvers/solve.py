@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from mobilecal_cli.errors import SolveError
+from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
 from mobilecal_cli.likelihood.constants import PATTERNS
 from mobilecal_cli.likelihood.dataset import Dataset, Inliers, dataset_of
@@ -99,7 +99,23 @@ def solve(
         SolveError: fewer than three legs, did not converge, an encoder has the wrong sign, the wheels are swapped,
             or an unobservable parameter has no nominal value.
     """
-    constraints = constraints or Constraints()
+    try:
+        return _solved(extraction, method, constraints or Constraints(), on_step)
+    except SolveError as error:
+        message, hint = extraction.worded(error.message), extraction.worded(error.cure)
+        raise SolveError(message, hint, error.explained, error.noted) from error.__cause__
+    except ConfigError as error:
+        raise ConfigError(extraction.worded(error.message), extraction.worded(error.hint)) from error
+
+
+def _solved(
+    extraction: Extraction, method: Method, constraints: Constraints, on_step: Callable[[], None]
+) -> Solution:
+    """The same, in words of a recording and rig.yaml.
+
+    Raises:
+        ConfigError, SolveError: see `solve`.
+    """
     rig = extraction.rig
     stated = {"priors in rig.yaml": rig.prior_sigmas, "noise in rig.yaml": rig.noise}
     asked = (*constraints.given, *(where for where, values in stated.items() if values))
@@ -132,7 +148,11 @@ def solve(
             "the measurements do not determine all parameters",
             "record more stations, with the whole board in the images",
         ) from error
-    return replace(solution, diagnosis=_diagnosis(solution, extraction, search))
+    diagnosis = _diagnosis(solution, extraction, search)
+    if diagnosis is not None:
+        cause, cure = extraction.worded(diagnosis.cause), extraction.worded(diagnosis.cure)
+        diagnosis = replace(diagnosis, cause=cause, cure=cure)
+    return replace(solution, diagnosis=diagnosis)
 
 
 def _by_likelihood(extraction: Extraction, inference: Inference, search: Search) -> Solution:
@@ -234,13 +254,13 @@ def _linear_start(
             linear = near
     distance_m = extraction.board_distance_m
     # Another unit of the wheels. Wider priors of squares and baseline would explain it, too, and nominal values pull.
-    other = None if full or extraction.motions else search.carried or search.other_wheels
+    other = None if full else search.carried or search.other_wheels
     if full and linear.point_rms_m < _BAD_SHARE * distance_m:
         other = other_wheels(linear.parameters.wheels, nominal)
     if other is not None:
         raise _refused(other)
     refusal = None
-    if linear.point_rms_m > _GROSS_SHARE * distance_m:
+    if extraction.motions or linear.point_rms_m > _GROSS_SHARE * distance_m:
         unexplained = search.misfit is not None and search.misfit > _HOPELESS_SHARE
         if search.of_whole is not None or (unexplained and search.diagnosis is None):
             refusal = _refusal(extraction, search)
@@ -361,13 +381,18 @@ def _impossible(wheels: WheelGeometry, what: str) -> SolveError:
 
 def _refusal(extraction: Extraction, search: Search) -> SolveError | None:
     """The mistake because of which a recording cannot be solved, or how badly it fits; None if neither is known."""
-    if extraction.motions:  # mistakes are searched for with a target
-        return None
     diagnosis, share = search.diagnosis or search.interrupted, search.misfit
     if diagnosis is not None:
         return _refused(diagnosis)
     if share is None:
         return None
+    if extraction.motions:
+        return SolveError(
+            "the motions do not fit the wheels, and no known mistake explains it: they differ by "
+            f"{1e3 * share * extraction.board_distance_m:.0f} mm on most legs. Tried: units, signs, order, frames and "
+            "times of the motions; signs, sides and unit of the wheels",
+            "check that motions and rotations of the wheels are of the same legs, between the same times, and T_v_c",
+        )
     apart_px = float(np.median([o.reprojection_px for o in extraction.observations]))
     of_images = f", the reprojection error is {apart_px:.2g} px (usual: 0.3 px)"
     measured = extraction.measured
@@ -431,11 +456,12 @@ def _diagnosis(solution: Solution, extraction: Extraction, search: Search) -> Di
         if jump.shift_sigmas >= MATERIAL_SIGMAS
         and not ("wheel" in jump.part and abs(jump.move_m) > largest_m)
     ]
-    if "" in parts and not extraction.motions and search.interrupted is not None:
-        return search.interrupted
-    if not extraction.motions and _fits_badly(solution, extraction):
-        return search.of_whole or search.frozen if any(parts) else search.diagnosis
-    return turned_around(extraction.rig, solution.parameters.T_h_c)
+    if not extraction.motions:  # of which the search is before the estimate
+        if "" in parts and search.interrupted is not None:
+            return search.interrupted
+        if _fits_badly(solution, extraction):
+            return search.of_whole or search.frozen if any(parts) else search.diagnosis
+    return turned_around(extraction.rig, solution.parameters.T_h_c, extraction.measured)
 
 
 def _narrower_priors(extraction: Extraction, constraints: Constraints) -> dict[str, tuple[float, list[str]]]:

@@ -86,12 +86,12 @@ WHEELS = WheelGeometry(0.0207, 0.0206, 0.088)
 T_V_C = se3.transform(se3.rotation_z(np.array(0.4)), np.array([0.03, -0.01, 0.1]))
 
 
-def legs(count, seed, wrong=0.0):
-    """Single legs of a robot with a planar sensor; a share of the sensor's motions is wrong by decimeters."""
+def legs(count, seed, wrong=0.0, times=1.0):
+    """Single legs of a robot with a planar sensor, of some length; a share of its motions is wrong by decimeters."""
     random = np.random.default_rng(seed)
     found = []
     for _ in range(count):
-        right, left = random.choice([-0.8, 0.8, 1.0, 0.5], 2)
+        right, left = times * random.choice([-0.8, 0.8, 1.0, 0.5], 2)
         turned = np.array([right, left]) + 0.003 * random.normal(size=2) * np.sqrt(np.abs([right, left]))
         motion = integrate(Increments(turned[:1], turned[1:], np.zeros(1, dtype=np.int64), 1), WHEELS)
         T_b = se3.transform(se3.rotation_z(motion.psi_rad[0]), np.append(motion.t_m[0], 0.0))
@@ -301,6 +301,85 @@ def test_wheels_that_are_not_possible_are_refused(wheels_m):
         from_motions(legs(8, 1), wheels_m, T_V_C)
 
 
+def poses_since_the_first(motions):
+    """The pose of the sensor at the end of each leg, in its frame at the start of the first."""
+    T = np.eye(4)
+    for x, y, heading in motions:
+        T = T @ se3.transform(se3.rotation_z(np.array(heading)), np.array([x, y, 0.0]))
+        yield [*T[:2, 3], np.arctan2(T[1, 0], T[0, 0])]
+
+
+def in_a_fixed_frame(motions):
+    poses = np.array([[0.0, 0.0, 0.0], *poses_since_the_first(motions)])
+    cos, sin = np.cos(1.3), np.sin(1.3)
+    return np.column_stack([np.diff(poses[:, :2], axis=0) @ [[cos, sin], [-sin, cos]], motions[:, 2]])
+
+
+def inverted(motions):
+    T = se3.inverse(se3.transform(se3.rotation_z(motions[:, 2]), np.insert(motions[:, :2], 2, 0.0, axis=1)))
+    return np.column_stack([T[:, :2, 3], -motions[:, 2]])
+
+
+WRONG_MOTIONS = {
+    "the motions have headings in degrees": (lambda m, t: (m * [1, 1, 180 / np.pi], t)),
+    "the motions have x and y exchanged": (lambda m, t: (m[:, [1, 0, 2]], t)),
+    "the motions are inverted": (lambda m, t: (inverted(m), t)),
+    "the motions are poses since the first leg": (lambda m, t: ([*poses_since_the_first(m)], t)),
+    "the motions are differences of coordinates in a fixed frame": (lambda m, t: (in_a_fixed_frame(m), t)),
+    "of a sensor whose z points the other way than T_v_c says": (lambda m, t: (m * [1, -1, -1], t)),
+    "the motions have the wrong sign of y": (lambda m, t: (m * [1, -1, 1], t)),
+    "the motions have the wrong sign of heading": (lambda m, t: (m * [1, 1, -1], t)),
+    "12 of 24 motions repeat that of the leg before": (lambda m, t: (np.repeat(m[::2], 2, axis=0), t)),
+    "all motions are the same, but the wheels turn otherwise": (lambda m, t: (m * 0 + m[0], t)),
+    "radii and separation that fit are all": (lambda m, t: (m * [100, 100, 1], t)),
+    "of about 100 % of a leg too late": (lambda m, t: (m, np.roll(t, 1, axis=0))),
+    "the left and right wheels are swapped": (lambda m, t: (m, t[:, ::-1])),
+    "the encoders of both wheels have the wrong sign": (lambda m, t: (m, -t)),
+    "the right wheel's encoder has the wrong sign": (lambda m, t: (m, t * [-1, 1])),
+    "1/57: the readings are in degrees": (lambda m, t: (m, np.degrees(t))),
+}
+
+
+def changed_legs(motions, change):
+    seen, turned = (np.array([[*of(leg)] for leg in motions]) for of in (lambda m: m.motion, turns_of))
+    seen, turned = change(seen, turned)
+    return [
+        replace(leg, motion=np.array(m), right_rad=float(right), left_rad=float(left))
+        for leg, m, (right, left) in zip(motions, seen, turned, strict=True)
+    ]
+
+
+def turns_of(leg):
+    return leg.right_rad, leg.left_rad
+
+
+@pytest.mark.parametrize("said", WRONG_MOTIONS)
+def test_mistakes_in_motions_are_named(said):
+    """After half a minute, the answer was "did not converge", or more stations with the whole board in the images."""
+    given = changed_legs(legs(24, 2, times=6.0), WRONG_MOTIONS[said])
+    nominal = T_V_C @ se3.transform(se3.rotation_z(np.array(0.03)), np.array([0.002, -0.002, 0.0]))
+    with pytest.raises(SolveError, match=said) as raised:
+        solve(from_motions(given, (0.0206, 0.0206, 0.0885), nominal))
+    assert not re.search(r"rig\.yaml|camera|image|board|wheels\.|nominal\.", raised.value.hint)
+
+
+def test_motions_without_a_known_mistake_are_refused_at_once():
+    random = np.random.default_rng(0)
+    given = changed_legs(legs(24, 2, times=6.0), lambda m, t: (random.permutation(m), t))
+    with pytest.raises(SolveError, match=r"no known mistake explains it: they differ by .* mm on most legs"):
+        solve(from_motions(given, (0.0206, 0.0206, 0.0885), T_V_C))
+
+
+@pytest.mark.parametrize("noise", [1.0, 30.0])
+def test_no_mistake_is_named_in_motions_that_are_right(noise):
+    """Also where they are much noisier than stated."""
+    random = np.random.default_rng(1)
+    given = changed_legs(
+        legs(24, 2, times=6.0), lambda m, t: (m + noise * random.normal(size=m.shape) * [3e-4, 3e-4, 1e-3], t)
+    )
+    assert solve(from_motions(given, (0.0206, 0.0206, 0.0885), T_V_C)).diagnosis is None
+
+
 @pytest.mark.parametrize("slip_m", [0.05, 0.3])
 def test_the_size_of_a_slip_is_that_against_the_sensor(slip_m):
     """300 mm were "0 mm": the base of a leg that is left out stays where the last fit left it."""
@@ -361,13 +440,13 @@ def on_a_circle(T_v_c, seed):
             PAPER_ROBOT,
             se3.inverse,
             "PASS",
-            "T_h_c looks like the inverse, the pose of the head in the camera",
+            "T_h_c looks like the inverse, the pose of the head in the sensor",
         ),
         (
             PAPER_ROBOT,
             lambda T: T @ se3.inverse(OPTICAL),
             "PASS",
-            "looks like the pose of the camera's body frame",
+            "looks like the pose of the sensor's body frame",
         ),
         (
             PAPER_ROBOT,
@@ -379,7 +458,7 @@ def on_a_circle(T_v_c, seed):
             FIXED_CAMERA_ROBOT,
             se3.inverse,
             "FAIL",
-            "The camera's height, which no motion shows, is taken from it.",
+            "The sensor's height, which no motion shows, is taken from it.",
         ),
     ],
 )
