@@ -363,6 +363,19 @@ def test_mistakes_in_motions_are_named(said):
     assert not re.search(r"rig\.yaml|camera|image|board|wheels\.|nominal\.", raised.value.hint)
 
 
+@pytest.mark.parametrize("scale", [0.98, 1.0, 1.02])
+def test_a_scale_of_headings_is_named(scale):
+    """The separation followed, 13 sigmas off, with a PASS."""
+    given = changed_legs(legs(60, 2, times=12.0), lambda m, t: (m * [1, 1, scale], t))
+    extraction = from_motions(given, (0.0206, 0.0206, 0.0885), T_V_C)
+    verdict = judge(solve(extraction), extraction)
+    if scale == 1.0:
+        assert verdict.level == "PASS"
+        return
+    assert verdict.level == "FAIL"
+    assert f"too {'large' if scale > 1 else 'small'} for their directions" in verdict.reason
+
+
 def test_motions_without_a_known_mistake_are_refused_at_once():
     random = np.random.default_rng(0)
     given = changed_legs(legs(24, 2, times=6.0), lambda m, t: (random.permutation(m), t))
