@@ -164,7 +164,7 @@ class LogSource:
 #: Words that mean nothing where poses were measured, and what does.
 _OF_ARGUMENTS = (
     (r",? or state ticks_per_revolution: 360 in rig\.yaml|( in head\.chain)? or in the URDF", ""),
-    (r"the head chain in the URDF, and |ticks_per_revolution, and |, and board\.square_m in rig\.yaml", ""),
+    (r"the head chain in the URDF, and |, and board\.square_m in rig\.yaml", ""),
     (r"in head\.chain, in the URDF or in joints\.fields, or in the recording", "in chain, or in the poses"),
     (r"\bthe topics? and the |\bthe topic, the ", "the "),
     (r"the unit and the ticks_per_revolution of the wheel readings", "the unit of the rotations of the wheels"),
