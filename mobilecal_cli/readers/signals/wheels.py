@@ -479,6 +479,19 @@ class OdometryWheel(Source):
         position, turned = message.pose.pose.position, message.pose.pose.orientation
         self.add(time_ns, log_ns, position.x, position.y, 2 * math.atan2(turned.z, turned.w))
 
+    def checked(self, notes: list[str]) -> Source:
+        """Check that the poses change.
+
+        Raises:
+            RecordingError: they do not, as those of a driver that publishes the twist alone.
+        """
+        if len(self) > 1 and not np.ptp(self.samples([]).value, axis=0).any():
+            raise RecordingError(
+                f"{self.topic}: all {len(self)} poses of the odometry are the same",
+                "drive the robot, and have its driver publish the poses, not the twist alone",
+            )
+        return self
+
     def track(self, samples: Samples, notes: list[str]) -> Track:
         """Rotation of the wheel, rad, starting at zero."""
         odometry, wheels = Odometry(samples.topic, *samples.ordered(notes)), self._wheels
