@@ -54,7 +54,7 @@ FROZEN_S = 1.0  # a driver that repeats images shows new ones earlier
 NO_READINGS, FROZEN = "no readings around the image", "images do not change while the robot moves"
 _RATE = "joints and wheels at 20 Hz or more"
 _NOT_USED = {
-    NO_READINGS: "no readings around them ({0}). Check the cable and the driver.",
+    NO_READINGS: "no readings around them ({0}). Check the cable and the driver, which must publish at rest, too.",
     FEW_READINGS: f"{FEW_READINGS} ({{0}}). Publish {_RATE}, or stop longer at each place.",
     FROZEN: "the {0} images stay the same while the robot moves. Check the driver of the {0} camera.",
 }

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.model import Track
-from mobilecal_cli.readers.signals.series import without_stale
+from mobilecal_cli.readers.signals.series import Samples, with_rests, without_stale
 
 _TIME_S = np.arange(0, 30, 0.05)
 
@@ -102,3 +102,51 @@ def test_a_joint_that_rests_or_has_coarse_steps_keeps_all_readings(value):
 def test_short_tracks_stay_as_they_are(count):
     track = Track(np.arange(count), np.arange(count, dtype=float))
     assert without_stale("joint pan", track, []) is track
+
+
+def _samples(time_s, value):
+    time_ns = np.round(time_s * 1e9).astype(np.int64)
+    return Samples("/j", "joint pan on /j", time_ns, time_ns, np.reshape(value, (-1, 1)), positions=True)
+
+
+def test_a_rest_before_messages_that_arrive_together_is_one():
+    """The first readings after a stop of 1.5 s, which came 1 ms apart, showed "an old value during a motion"."""
+    value, time_s = 20 * _stops_and_goes() + 0.1 * np.maximum(_TIME_S - 16, 0), _TIME_S.copy()
+    time_s[[40, 140, 240]] = time_s[[41, 141, 241]] - 0.001
+    track, notes = Track(np.round(time_s * 1e9).astype(np.int64), value), []
+    assert without_stale("joint pan", track, notes) is track
+    assert notes == []
+
+
+@pytest.mark.parametrize("bunch_s", [0.2, 0.3])
+def test_of_messages_that_arrive_together_the_last_counts(bunch_s):
+    """Readings that were stamped as they came out of a queue: estimates in motion "did not converge"."""
+    arrival_s = np.ceil((_TIME_S + 1e-6) / bunch_s) * bunch_s + 1e-6 * np.arange(600)
+    time_ns, value = _samples(arrival_s, _TIME_S).ordered([])
+    assert len(value) == pytest.approx(30 / bunch_s, abs=1)
+    assert np.ptp(time_ns * 1e-9 - value[:, 0]) < 0.06
+
+
+@pytest.mark.parametrize("rate_hz", [10, 50])
+def test_readings_at_two_rates_do_not_arrive_together(rate_hz):
+    time_s = np.concatenate([np.arange(0, 20, 0.1), np.arange(20, 30, 1 / rate_hz), np.arange(40, 45, 0.02)])
+    assert len(_samples(time_s, time_s).ordered([])[0]) == len(time_s)
+
+
+@pytest.mark.parametrize("rate_hz", [10, 20, 50])
+def test_a_joint_that_is_published_in_motion_alone_rests_otherwise(rate_hz):
+    """All images of stops had "no readings around them": a robot that stopped 14 times had too few stations."""
+    time_s = np.arange(0, 30, 1 / rate_hz)
+    value = np.interp(time_s, _TIME_S, _stops_and_goes())
+    sent = np.append(True, np.diff(value) != 0)
+    found = with_rests(Track(np.round(time_s[sent] * 1e9).astype(np.int64), value[sent]))
+    within = found.time_ns[-1] * 1e-9 > time_s
+    assert np.diff(found.time_ns).max() * 1e-9 < 2.5 / rate_hz
+    assert found.at(np.round(time_s[within] * 1e9).astype(np.int64)) == pytest.approx(value[within], abs=1e-9)
+
+
+@pytest.mark.parametrize("interval_s", [0.05, 0.6])
+def test_a_pause_in_a_motion_and_slow_readings_are_no_rests(interval_s):
+    time_s = np.delete(np.arange(0, 30, interval_s), np.arange(12, 25))
+    track = Track(np.round(time_s * 1e9).astype(np.int64), np.sin(0.3 * time_s))
+    assert np.array_equal(with_rests(track).time_ns, track.time_ns)

@@ -36,6 +36,7 @@ from mobilecal_cli.readers.signals.series import (
     cut,
     end_notes,
     pause_notes,
+    with_rests,
     without_stale,
     without_strays,
 )
@@ -126,7 +127,9 @@ def read_signals(recording: Recording, sources: Sources, extent: Extent = EVERYT
         samples = {source: each.arranged(own_notes) for source, each in recorded.items()}
 
         def track_of(source: Source) -> Track:
-            return without_stale(source.label, source.track(samples[source], own_notes), own_notes)
+            return with_rests(
+                without_stale(source.label, source.track(samples[source], own_notes), own_notes)
+            )
 
         tracks = {name: track_of(joint) for name, joint in joints.items()}
         times_ns = np.concatenate([each.time_ns for each in samples.values()])

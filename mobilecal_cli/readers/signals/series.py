@@ -87,7 +87,43 @@ class Samples:
         if not len(self):
             raise RecordingError(f"{self.label}: no readings", "record the topic during the whole recording")
         keep = self.kept(notes)
+        keep[keep] = ~_overtaken(self.time_ns[keep])
         return self.time_ns[keep], self.value[keep]
+
+
+#: Readings that are nearer to the next one than this share of the usual interval come together with it.
+_TOGETHER = 1 / 20
+#: A pause is a rest if it lasts so long, so many times as long as usual, and the reading after it differs by at most so
+#: many times as much as two readings beside it.
+_LEAST_REST_NS, _REST_INTERVALS, _STARTS = 500_000_000, 3, 1.5
+
+
+def _overtaken(time_ns: IntArray) -> BoolArray:
+    """(n,) which readings come together with a later one, as from a queue: their times say nothing.
+
+    The usual interval is that in the middle of the time, without rests.
+    """
+    interval_ns = np.diff(time_ns)
+    longest_ns = np.sort(interval_ns[interval_ns < _LEAST_REST_NS])[::-1]
+    up_to_ns = np.cumsum(longest_ns)
+    usual_ns = longest_ns[np.searchsorted(up_to_ns, up_to_ns[-1] / 2)] if len(up_to_ns) else 0
+    return np.append(interval_ns < _TOGETHER * usual_ns, False)
+
+
+def with_rests(track: Track) -> Track:
+    """A track with readings in each rest, also of a driver that publishes none there."""
+    interval_ns, way = np.diff(track.time_ns), np.abs(np.diff(track.value))
+    usual_ns = int(np.median(interval_ns)) if len(way) else 0
+    if not 0 < usual_ns < _LEAST_REST_NS:
+        return track
+    beside = np.maximum(*(np.pad(way, 1)[k : k + len(way)] for k in (0, 2)))
+    pauses = interval_ns > max(_LEAST_REST_NS, _REST_INTERVALS * usual_ns)
+    rests = np.flatnonzero(pauses & (way < _STARTS * beside))
+    inside = [
+        np.arange(end - usual_ns, begin, -usual_ns) for begin, end in track.time_ns[rests[:, None] + [0, 1]]
+    ]
+    time_ns = np.unique(np.concatenate([track.time_ns, *inside]))
+    return Track(time_ns, track.value[np.searchsorted(track.time_ns, time_ns, side="right") - 1])
 
 
 #: Readings that jump to a value and return to the one before, as two publishers of one joint give: a jump of more than
@@ -231,7 +267,8 @@ def _catching_up(time_s: FloatArray, value: FloatArray, fresh: IntArray) -> tupl
     speed = np.maximum(
         *(step[pair].sum(axis=0) / since_s[pair].sum(axis=0) for pair in (beside[:2], beside[2:]))
     )
-    repeats, since, last, size = np.diff(fresh)[inner], since_s[inner], last_s[inner], step[inner]
+    repeats, since, size = np.diff(fresh)[inner], since_s[inner], step[inner]
+    last = np.maximum(last_s[inner], since / repeats)  # messages may arrive together
     one_way = np.all(np.sign(change[beside]) == np.sign(change[inner]), axis=0)
     short = one_way & (since < _NO_REST_S) & (size > speed * (since + last) / 2)
     long = (
