@@ -781,7 +781,8 @@ _NOISE = {
         0.3, 1.5, "floor (roll and pitch of the base)", "that the floor is flat and that the base does not rock",
     ),
     Metric("noise.stamp", "ms", section="limits"): (
-        2.0, 1e3 * STAMP_NOISE_S, "image time stamps", "that images have hardware time stamps, or stop for each image",
+        2.0, 1e3 * STAMP_NOISE_S, "time stamps",
+        "that images, joints and wheels are stamped when they are read, not when they arrive, or stop for each image",
     ),
     Metric("noise.pair", "ms", section="limits"): (
         2.0, 10.0, "time between the images of two cameras",

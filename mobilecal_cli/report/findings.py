@@ -95,7 +95,8 @@ ERROR_PARTS = {
         "wheels", "Check the wheels for slip, and the board for a move, on the leg with the largest error.",
     ),
     "stamps": (
-        "image time stamps", "Check that images have hardware time stamps, or stop for each image.",
+        "time stamps",
+        "Check that images, joints and wheels are stamped when they are read, not when they arrive.",
     ),
     "lenses": (
         "lenses beside their models", "Calibrate the cameras with a distortion model that fits their lenses.",

@@ -331,7 +331,7 @@ FAMILIES = {
     "wheels": Family("Wheel noise limits", "red dark", ("wheel_rad_per_sqrt_rad", "wheel_share")),
     "encoder steps": Family("Encoder steps limit", "ink half", ("encoder_rad",)),
     "poses": Family("The measured poses limit", "faint dark", ("pose_scale",)),
-    "time stamps": Family("Errors of the image time stamps limit", "ink light", ("stamp_s", "pair_s")),
+    "time stamps": Family("Errors of the time stamps limit", "ink light", ("stamp_s", "pair_s")),
     "camera_info": Family("The stated camera calibration (camera_info) limits", "blue light"),
     "board": Family("The stated geometry of the board limits", "green light"),
     "head geometry": Family("The stated geometry of the head limits", "orange light"),

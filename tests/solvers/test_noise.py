@@ -205,7 +205,7 @@ def test_a_late_camera_moves_no_scale(late_s, seed):
 
 
 def test_stamps_that_vary_where_a_clock_stepped_are_no_fault_of_the_images():
-    """Joint states were stamped 50 ms earlier from the middle on: "check that images have hardware time stamps"."""
+    """Joint states were stamped 50 ms earlier from the middle on: the cause was "images without hardware time stamps"."""
     note = "/joint_states: the clock steps back by up to 0.030 s"
     extraction = replace(moving(0.0).extraction(0), notes=(note,))
     found = fitted(extraction)

@@ -64,7 +64,7 @@ def test_stamps_that_are_late_by_chance_are_named():
     assert max(parts, key=lambda name: parts[name].px) == "stamps"
     whole = np.sqrt(sum(part.px**2 for part in parts.values()))
     assert solution.reprojection_rms_px == pytest.approx(whole, rel=0.25)
-    assert judge(solution, extraction).reason.startswith("The noise of the image time stamps is 24 ms")
+    assert judge(solution, extraction).reason.startswith("The noise of the time stamps is 24 ms")
 
 
 def test_a_small_corner_noise_is_not_rounded_to_zero():
