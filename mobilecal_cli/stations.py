@@ -40,7 +40,7 @@ STILL_WHEEL_RAD = 0.004  # or one step of a coarse encoder
 LARGEST_GAP_S = 0.5
 _WHEEL_INTERVAL_S = 0.125  # usual one; over longer ones, what the base does is not known well enough
 SHOTS_PER_REST = 10
-RESTS_ENOUGH = 6
+RESTS_ENOUGH = 8  # fewer stations are not enough
 KEYFRAMES = 80
 MOST_IN_MOTION = 2000  # of a recording: the estimate takes 1.5 MB of memory each
 # One camera records nothing for so long, while the other has so many images; or all cameras for so many times the
@@ -472,7 +472,7 @@ def plan_stations(
 ) -> tuple[tuple[Plan, ...], tuple[str, ...]]:
     """Select the moments of a recording at which to search for the board.
 
-    Rests are used if the recording has at least six. Otherwise at most 80 single sharp images, spread over head
+    Rests are used if the recording has at least eight. Otherwise at most 80 single sharp images, spread over head
     angles and base motion, supplement the rests.
 
     Args:
@@ -520,10 +520,10 @@ def plan_stations(
         if rests:
             stops = f"The robot rests {rests} time{'s' * (rests != 1)} with images ({because}). "
         used = (
-            f"{picked} of {moving} images taken in motion are {'also ' * bool(stops)}used. " if moving else ""
+            f"{picked} of {moving} images taken in motion are {'also ' * bool(stops)}used. Constant clock offsets are "
+            "corrected (not by the methods linear, paper and lm)."
         )
-        corrected = "Constant clock offsets are corrected (not by the methods linear, paper and lm)."
-        notes.append(f"{stops}{used}{corrected}")
+        notes.append(f"{stops}{used if moving else ''}".rstrip())
         split = sum(log.split for log in paired)
         if split:
             notes.append(

@@ -120,12 +120,24 @@ def test_left_and_right_never_together():
         pair_images(ns([0, 1]), ns([0.5, 1.5]), 0.1)
 
 
+@pytest.mark.parametrize("halts", [7, 8])
+def test_a_few_halts_in_a_long_drive_leave_its_images_in_use(halts):
+    """Images in motion were not used beside six rests, and seven are fewer than a verdict needs."""
+
+    def angle(t):
+        return np.interp(t, *zip(*((3 * k + s, k) for k in range(halts) for s in (0, 1)), strict=True))
+
+    plan, _ = planned(signals(angle, angle), ("pan",))
+    assert sum(station.at_rest for station in plan.stations) == halts
+    assert all(station.at_rest for station in plan.stations) == (halts == 8)
+
+
 def test_pictures_without_readings_are_left_out():
     good = signals(staircase, lambda t: 3 * staircase(t))
     keep = np.abs((good.joints["pan"].time_ns - START) / S - 10.5) > 1.6  # gone over the fourth rest
     pan = Track(good.joints["pan"].time_ns[keep], good.joints["pan"].value[keep])
     plan, notes = planned(replace(good, joints={"pan": pan}), ("pan",))
-    assert len(plan.stations) == 7
+    assert sum(station.at_rest for station in plan.stations) == 7
     assert {r.reason for r in plan.rejections} == {"no readings around the image"}
     assert {r.detail for r in plan.rejections} == {"pan"}
     (note,) = (note for note in notes if "stereo pairs" in note)
@@ -232,8 +244,8 @@ def test_images_repeated_in_motion_are_not_used():
 def test_a_frozen_camera_is_named(frozen):
     stop = np.minimum(PICTURES, 19.0)
     plan, notes = with_images(stop if "left" in frozen else PICTURES, stop)
-    assert len(plan.stations) == 7
-    (note,) = notes
+    assert sum(station.at_rest for station in plan.stations) == 7
+    note, _ = notes
     said = f"the {frozen} images stay the same while the robot moves. Check the driver of the {frozen} camera"
     assert said in note
     assert "between 20 and 24 s after the first image" in note

@@ -114,7 +114,7 @@ def test_a_camera_that_freezes(sample_logs, tmp_path):
     assert [o.station for o in found.observations] == list(range(7))
     assert {r.reason for r in found.rejections} == {"images do not change while the robot moves"}
     unused = "10 stereo pairs between 26 and 42 s after the first image are not used: the right images stay"
-    assert unused in found.notes[-1]
+    assert any(unused in note for note in found.notes)
 
 
 def test_a_later_recording_without_a_urdf_has_that_of_the_first(sample_logs, tmp_path):
