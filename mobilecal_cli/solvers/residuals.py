@@ -209,7 +209,8 @@ def triangulated_again(state: State, pixels: FloatArray, points: FloatArray) -> 
 def leg_squares(lin: Posterior, shown: Dataset, residuals: Residuals) -> dict[str, FloatArray]:
     """Mean square error of each leg by each kind of noise, (2, L): px^2 and m^2.
 
-    The kinds are "corners" (or "poses"), "joints", "floor", "wheels" and, in motion, "stamps".
+    The kinds are "corners" (or "poses"), "joints", "floor", "wheels" and, in motion, "stamps"; joints and wheels
+    with what is uncertain between two readings.
 
     Images and legs are those with the estimated constants, see `at_state`.
     """
@@ -222,7 +223,7 @@ def leg_squares(lin: Posterior, shown: Dataset, residuals: Residuals) -> dict[st
     twists = {
         "joints": se3.adjoint(se3.inverse(X))
         @ head_jacobian(data.chain, data.joints)
-        * (noise.joint_rad * np.array(data.chain.joint_units)),
+        * np.hypot(noise.joint_rad * np.array(data.chain.joint_units), data.joints_between)[:, None],
         "floor": se3.adjoint(se3.inverse(T_v_c)) @ base,
     }
     if data.moving.any():
@@ -276,6 +277,6 @@ def _wheel_covariance(data: Dataset, wheels: WheelGeometry, residuals: Residuals
     """(L, 3, 3) covariance of odometry's (x, y, heading) on each leg of the residuals."""
     every = sum(leg_covariances(data.steps(), wheels, noise).values())
     covariance = np.asarray(every)[np.isin(data.legs[:, 1], residuals.legs[:, 1])]
-    path_m = noise.encoder_rad * data.encoder_shares * wheels.vector[:2]
-    square = 2 * float(np.sum(path_m**2))  # a reading at both ends
-    return np.asarray(covariance + np.diag([square / 4, 0.0, square / wheels.separation_m**2]))
+    path_m = np.hypot(noise.encoder_rad * data.encoder_shares, data.wheels_between) * wheels.vector[:2]
+    square = np.sum(path_m[residuals.legs] ** 2, axis=(1, 2))  # of the readings at both ends
+    return np.asarray(covariance + square[:, None, None] * np.diag([1 / 4, 0.0, 1 / wheels.separation_m**2]))

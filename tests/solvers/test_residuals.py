@@ -24,9 +24,12 @@ from tests.truth import no_priors
 QUIET = extractions.Noise(pixel_px=0.02, wheel_rad_per_sqrt_rad=1e-5, joint_rad=1e-6)
 
 
-def parts_of(extraction: Extraction, solution: Solution, **levels: float):
-    """The parts at true levels, for cameras as stated."""
+def parts_of(extraction: Extraction, solution: Solution, between=None, **levels: float):
+    """The parts at true levels, for cameras as stated; `between`, for errors between readings of wheels or joints."""
     data, true = dataset_of(extraction), Noise(**Noise.limits("guess") | levels, wider={})
+    data = replace(
+        data, **{name: np.full_like(getattr(data, name), by) for name, by in (between or {}).items()}
+    )
     all_of, parameters = Inliers.all_of(data), solution.parameters
     state = initial_state(data, parameters, all_of)
     lin = Posterior.at(state, all_of, true, no_priors(data.layout, parameters))
@@ -53,6 +56,18 @@ def test_one_noise_alone_makes_the_reprojection_error(part, noise):
     assert solution.reprojection_rms_px == pytest.approx(whole, rel=0.25)
     known = replace(solution, uncertainty=drawn()[0].uncertainty, error_parts=parts)
     assert f"together {std_text(whole)} px" in made(known, extraction).quality.reprojection_text
+
+
+def test_errors_between_two_readings_are_those_of_wheels_and_joints():
+    """At five readings per second: "the point error is 44 mm, check the wheels for slip", and a slip that was none."""
+    extraction = recorded({}, QUIET, stations=10)
+    solution = solve(extraction, "lm")
+    read = parts_of(extraction, solution, encoder_rad=0.01, joint_rad=0.02)
+    between = {"wheels_between": 0.01, "joints_between": 0.02}
+    parts = parts_of(extraction, solution, between, encoder_rad=0.0, joint_rad=0.0)
+    assert [(part.px, part.m) for part in parts.values()] == [
+        pytest.approx((part.px, part.m), rel=1e-9) for part in read.values()
+    ]
 
 
 def test_stamps_that_are_late_by_chance_are_named():
