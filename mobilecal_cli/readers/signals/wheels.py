@@ -34,6 +34,7 @@ _SLACK = 1e-3  # of a turn, by which rounded positions leave it
 #: Widths at which counters start again. They jump then by at least this many times their largest other step.
 _WIDTHS, _JUMP = (8, 16, 32), 3
 _MOST_BITS = 32  # no wheel turns by half the range of such a counter; wider ones start again there, too
+_DRIVEN = 0.01  # m/s, rad/s: no noise of a twist
 #: Steps between two readings that are no motion: they are few, larger than a turn, and so many times as fast as nearly
 #: all others. No wheel accelerates like that from one reading to the next; a driver that starts again does.
 _JUMP_SHARE, _JUMP_SPEED = 0.01, 20.0
@@ -473,22 +474,25 @@ class OdometryWheel(Source):
     def __init__(self, side: Side, source: WheelSource, wheels: WheelGeometry) -> None:
         super().__init__(source.topic, f"pose on {source.topic}", width=3)
         self._side, self._source, self._wheels = side, source, wheels
-        self.ahead_m = 0.0
+        self.ahead_m, self._driven = 0.0, False
 
     def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         position, turned = message.pose.pose.position, message.pose.pose.orientation
+        if twist := getattr(message, "twist", None):
+            self._driven |= max(abs(twist.twist.linear.x), abs(twist.twist.angular.z)) > _DRIVEN
         self.add(time_ns, log_ns, position.x, position.y, 2 * math.atan2(turned.z, turned.w))
 
     def checked(self, notes: list[str]) -> Source:
-        """Check that the poses change.
+        """Check that the poses change as the robot drives.
 
         Raises:
             RecordingError: they do not, as those of a driver that publishes the twist alone.
         """
-        if len(self) > 1 and not np.ptp(self.samples([]).value, axis=0).any():
+        if self._driven and not np.ptp(self.samples([]).value, axis=0).any():
             raise RecordingError(
-                f"{self.topic}: all {len(self)} poses of the odometry are the same",
-                "drive the robot, and have its driver publish the poses, not the twist alone",
+                f"{self.topic}: all {len(self)} poses of the odometry are the same, though its twist says that the "
+                "robot drives",
+                "have the driver of the base publish the poses, not the twist alone",
             )
         return self
 
