@@ -497,7 +497,10 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
         )
     else:
         cause = f"the readings of the wheels do not fit the drive that {shown}"
-        cure = "check the topics and the clocks of both wheels, and their counters: bits in rig.yaml, resets, gears"
+        cure = (
+            "check the topics and the clocks of both wheels, the stamps of the images, and the counters: bits in "
+            "rig.yaml, resets, gears"
+        )
     yield Hypothesis(cause, cure, _wheels_as_seen)
 
 
