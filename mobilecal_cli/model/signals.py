@@ -6,16 +6,13 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, ReadOnly
 from mobilecal_cli.model.rig import CameraInfo, Side
-
-if TYPE_CHECKING:
-    from scipy.interpolate import PPoly
 
 #: Message types used in a calibration, in ROS 2 spelling.
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -140,6 +137,7 @@ def pauses(time_ns: IntArray) -> BoolArray:
 
 #: Messages that arrive together are no jump of a joint: slope of a curve over the larger change per longer interval.
 _STEEPEST = 3.0
+_FEWEST_CURVED = 3  # readings; between two, the curve is a line
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,41 +157,53 @@ class Track(ReadOnly):
     value: Annotated[FloatArray, "n"]
 
     @cached_property
-    def _curve(self) -> PPoly:
-        """The value over the time since the first reading, ns."""
-        from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline, PPoly  # few commands need it
+    def _slope(self) -> FloatArray:
+        """(n,) slope of the curve at each reading, per ns."""
+        from scipy.interpolate import Akima1DInterpolator  # few commands need it
 
-        if len(self.time_ns) == 1:
-            return PPoly(self.value[None], [0.0, 1.0])
-        offsets = self._since_start(self.time_ns)
+        if len(self.time_ns) < _FEWEST_CURVED:
+            way, duration_ns = self.value[-1] - self.value[0], self.time_ns[-1] - self.time_ns[0]
+            return np.full(len(self.value), way / max(int(duration_ns), 1))
+        offsets = (self.time_ns - self.time_ns[0]).astype(np.float64)  # small enough for exact nanoseconds
         change, interval = (np.pad(np.abs(np.diff(of)), 1, "edge") for of in (self.value, offsets))
         steepest = _STEEPEST * np.maximum(change[1:], change[:-1]) / np.maximum(interval[1:], interval[:-1])
-        steepest[np.minimum(change[1:], change[:-1]) == 0] = (
-            0.0  # what rests is at rest from its first reading on
-        )
+        # What rests is at rest from its first reading on.
+        steepest[np.minimum(change[1:], change[:-1]) == 0] = 0.0
         slope = Akima1DInterpolator(offsets, self.value)(offsets, nu=1)
-        return CubicHermiteSpline(offsets, self.value, np.clip(slope, -steepest, steepest))
+        return np.asarray(np.clip(slope, -steepest, steepest))
 
     @cached_property
-    def _integral(self) -> PPoly:
-        return self._curve.antiderivative()
+    def _integral(self) -> FloatArray:
+        """(n,) integral of the curve up to each reading, times ns."""
+        interval, mean = np.diff(self.time_ns), (self.value[1:] + self.value[:-1]) / 2
+        return np.append(0.0, np.cumsum(interval * (mean - interval * np.diff(self._slope) / 12)))
 
-    def _since_start(self, times_ns: IntArray) -> FloatArray:
-        """Times since the first reading, ns, at most that of the last one: small enough for exact float64."""
-        inside_ns = np.clip(times_ns, self.time_ns[0], self.time_ns[-1])
-        return np.asarray(inside_ns - self.time_ns[0], dtype=np.float64)
+    def _followed(self, times_ns: IntArray, integral: bool = False) -> FloatArray:
+        """The curve at some times, or its integral from the first reading on; beyond its ends, the track rests."""
+        time_ns, value, slope = self.time_ns, self.value, self._slope
+        inside_ns = np.clip(times_ns, time_ns[0], time_ns[-1])
+        at = np.searchsorted(time_ns[1:-1], inside_ns, side="right")
+        after = np.minimum(at + 1, len(value) - 1)
+        interval = np.maximum(time_ns[after] - time_ns[at], 1).astype(np.float64)
+        s, way = (inside_ns - time_ns[at]) / interval, value[after] - value[at]
+        start, end = slope[at] * interval, slope[after] * interval
+        square, cube = 3 * way - 2 * start - end, start + end - 2 * way
+        if not integral:
+            return np.asarray(value[at] + s * (start + s * (square + s * cube)))
+        within = s * (value[at] + s * (start / 2 + s * (square / 3 + s * cube / 4)))
+        ends = np.where(times_ns < inside_ns, value[0], value[-1])
+        return np.asarray(self._integral[at] + interval * within + (times_ns - inside_ns) * ends)
 
     def at(self, times_ns: IntArray) -> FloatArray:
         """Values at some times, (n,) → (n,); before the first and after the last reading, these."""
-        return np.asarray(self._curve(self._since_start(times_ns)), dtype=np.float64)
+        return self._followed(times_ns)
 
     def mean(self, times_ns: IntArray, width_ns: int) -> FloatArray:
         """Mean of the values over an interval of a width around some times, (n,) → (n,)."""
-        ends_ns = times_ns + np.array([[-1], [1]]) * (width_ns // 2)
-        inside = self._since_start(ends_ns)
-        beyond = (ends_ns - self.time_ns[0]).astype(np.float64) - inside
-        earlier, later = self._integral(inside) + beyond * self._curve(inside)
-        return np.asarray((later - earlier) / (2 * (width_ns // 2)), dtype=np.float64)
+        earlier, later = (
+            self._followed(times_ns + side * (width_ns // 2), integral=True) for side in (-1, 1)
+        )
+        return np.asarray((later - earlier) / (2 * (width_ns // 2)))
 
     @property
     def gaps(self) -> IntArray:

@@ -44,5 +44,8 @@ def test_beyond_its_readings_a_track_rests():
         outside = np.array([-7_000_000_000, 7_000_000_000])
         assert track.at(outside).tolist() == [0.0, count - 1.0]
         assert track.mean(outside, 10**9) == pytest.approx([0.0, count - 1.0])
+        falling = Track(READ_NS[:count], -np.arange(float(count)))
+        assert falling.at(READ_NS[:count]).tolist() == falling.value.tolist()
+        assert falling.at(READ_NS[: count - 1] + 50_000_000) == pytest.approx(-0.5 - np.arange(count - 1.0))
     assert track.mean(READ_NS[4:5], 200_000_000) == pytest.approx([4.0 - 0.25])
     assert track.at(READ_NS[:0]).shape == (0,)
