@@ -177,7 +177,7 @@ _OF_ARGUMENTS = (
     (r"\btopics, ", ""),
     (r"with the whole board in the images", "with the whole target in view"),
     (r"\bthe images\b", "the poses"),
-    (r"\b([Cc])amera", lambda found: f"{'S' if found[1] == 'C' else 's'}ensor"),
+    (r"\b([Cc])amera(?=s?\b)", lambda found: f"{'S' if found[1] == 'C' else 's'}ensor"),
     (r"\b(the|neither the|nor the) board\b", r"\1 target"),
 )  # fmt: skip
 _NOTED = 3  # notes that a hint repeats

@@ -383,6 +383,12 @@ def test_motions_without_a_known_mistake_are_refused_at_once():
         solve(from_motions(given, (0.0206, 0.0206, 0.0885), T_V_C))
 
 
+def test_words_of_recordings_are_those_of_arguments_and_names_stay():
+    measured = from_motions(legs(4, 1), (0.0206, 0.0206, 0.0885), T_V_C)
+    told = measured.worded("The camera, or nominal.head_eye in rig.yaml, and joint 'camera_pan'")
+    assert told == "The sensor, or T_v_c, and joint 'camera_pan'"
+
+
 @pytest.mark.parametrize("noise", [1.0, 30.0])
 def test_no_mistake_is_named_in_motions_that_are_right(noise):
     """Also where they are much noisier than stated."""
