@@ -62,6 +62,11 @@ def main() -> None:
         _complain(f"error: standard output cannot be written: {error.strerror}")
         _complain("hint: check that standard output is open, and has free space where it goes")
         sys.exit(_OUTPUT)
+    finally:
+        try:
+            sys.stderr.flush()
+        except OSError:  # Python would try it again, and end with an exit code of its own
+            sys.stderr = open(os.devnull, "w")  # noqa: PTH123, SIM115
 
 
 def help_file() -> Path:

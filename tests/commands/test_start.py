@@ -1,5 +1,6 @@
 """What the command line loads before it knows what is asked for."""
 
+import os
 import shlex
 import subprocess
 import sys
@@ -79,16 +80,18 @@ def test_a_system_that_is_not_supported_is_named(arguments):
     assert "Windows Subsystem for Linux" in done.stderr
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize(
     ("command", "redirection"),
     [("bogus", "2>&-"), ("calibrate", "2</dev/null"), ("calibrate", "2>/dev/full")],
 )
-def test_a_wrong_command_line_that_standard_error_cannot_show(command, redirection):
-    """It ended as a bug does, or as standard output that is full."""
+def test_a_wrong_command_line_that_standard_error_cannot_show(command, redirection, unbuffered):
+    """It ended as a bug does, as standard output that is full, or with Python's own code where it keeps what is written."""
     if redirection.endswith("full") and not Path("/dev/full").exists():
         pytest.skip("this system has no /dev/full")
     words = f"{shlex.quote(sys.executable)} -m mobilecal_cli {command} {redirection}"
-    done = subprocess.run(["sh", "-c", words], capture_output=True, text=True)
+    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(["sh", "-c", words], capture_output=True, text=True, env=environment)
     assert (done.returncode, done.stdout) == (2, "")
 
 
