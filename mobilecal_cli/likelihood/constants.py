@@ -25,7 +25,6 @@ from mobilecal_cli.likelihood.effects import (
     Effect,
     FloorDrift,
     FloorShape,
-    HeadingScale,
     ImageEffect,
     JointReading,
     WheelDelay,
@@ -118,7 +117,6 @@ KINDS: tuple[Kind, ...] = (
     Kind("turn_slip", *_SHARE, 0.03, "effective wheel separation at twice the mean turning rate (four wheels)"),
     Kind("turn_sides", *_SHARE, 0.002, "effective wheel separation in left turns against the mean of all turns"),
     Kind("wheel_delay", *_TIME, 0.001, "delay of the right wheel's readings against the left one's"),
-    Kind("heading_scale", *_SHARE, 0.002, "scale of the headings that a planar sensor measured"),
     Kind("backlash", *_ANGLE, 0.1 * _DEGREE, "backlash of a head joint", r"backlash_.+"),
 )
 # fmt: on
@@ -250,7 +248,6 @@ def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
         _row("turn_sides", "turn_sides", "wheels", "effective separation in left turns", Widening("side")),
         _row("wheel_delay", "wheel_delay", "wheels", "delay of the right wheel's readings against the left one's",
              WheelDelay()),
-        _row("heading_scale", "heading_scale", "measured motions", "scale of the headings", HeadingScale()),
         *_of_cameras(_DELAYS, names, but=1),
         _row("readout", "readout", every, "time between the first and the last row",
              CameraEffect("readout_s", (1.0,), None)),

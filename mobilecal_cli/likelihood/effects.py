@@ -366,15 +366,6 @@ class FloorShape(FloorEffect):
 
 
 @dataclass(frozen=True, slots=True)
-class HeadingScale(Effect):
-    """Relative error of the headings that a planar sensor measured, as of a gyro."""
-
-    def offered(self, data: Measurements) -> bool:
-        """Only where there is such a sensor."""
-        return bool(data.motions)
-
-
-@dataclass(frozen=True, slots=True)
 class FloorDrift(Effect):
     """Drift over a floor that carries the base along, as a carpet does: m in the world frame, per m of the wheels.
 

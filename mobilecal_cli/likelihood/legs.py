@@ -10,7 +10,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Arcs, Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import Clock, FloorDrift, HeadingScale, Rolling
+from mobilecal_cli.likelihood.effects import Clock, FloorDrift, Rolling
 from mobilecal_cli.likelihood.measurements import (
     BASE,
     ENCODERS,
@@ -146,12 +146,6 @@ def _wrapped(residual: FloatArray) -> FloatArray:
     return residual
 
 
-def sensor_motions(state: State) -> FloatArray:
-    """(L, 3) x, y (m) and heading (rad) that a planar sensor measured on each leg, as its headings have scale 1."""
-    scale = 1 + sum(value for value, _ in state.present(HeadingScale))
-    return np.array([each.motion for each in state.data.motions]) / [1, 1, scale]
-
-
 def _of_sensor(state: State) -> tuple[FloatArray, ...]:
     """Measured minus predicted motion of a planar sensor on the head, which does not move meanwhile."""
     data, X, i = state.data, state.parameters.T_h_c, state.data.legs[:, 0]
@@ -170,9 +164,7 @@ def _of_sensor(state: State) -> tuple[FloatArray, ...]:
     by_shared = np.zeros((len(T), 3, data.layout.size))
     by_pose = rows @ (np.eye(6) - se3.adjoint(T))
     by_shared[:, :, :6] = by_pose @ np.kron(np.eye(2), X[:3, :3].T)
-    measured = sensor_motions(state)
-    for column, name, _ in data.layout.of(HeadingScale):
-        by_shared[:, 2, column] = -measured[:, 2] / (1 + state.value(name))
+    measured = np.array([each.motion for each in data.motions])
     residual = _wrapped(measured - np.column_stack([T[:, :2, 3], heading_of(T)]))
     return residual, by_start, by_end, by_shared
 
@@ -180,7 +172,8 @@ def _of_sensor(state: State) -> tuple[FloatArray, ...]:
 def wheels_minus_sensor(state: State, legs: Legs) -> FloatArray:
     """(L, 3) motion of the base by its wheels minus that by a planar sensor: x, y (m) and heading (rad)."""
     T_v_c = state.frames.T_v_h[state.data.legs[:, 0]] @ state.parameters.T_h_c
-    by_sensor = T_v_c @ planar_pose(sensor_motions(state)) @ se3.inverse(T_v_c)
+    measured = np.array([each.motion for each in state.data.motions])
+    by_sensor = T_v_c @ planar_pose(measured) @ se3.inverse(T_v_c)
     by_wheels = base_legs(state) + legs.residual[:, :3]
     return _wrapped(by_wheels - np.column_stack([by_sensor[:, :2, 3], heading_of(by_sensor)]))
 

@@ -305,8 +305,6 @@ STATED: dict[str, Stated] = {
     "wheel_delay": Stated("time stamps", "Read both wheels at one time", "both wheels read at one time",
                           "Read both wheels in one message, check them for slip and play where they speed up, and "
                           "record again; or state priors.wheel_delay in rig.yaml (in ms)."),
-    "heading_scale": Stated("poses", "Check the scale of the measured headings", "headings as measured",
-                            "Check the scale of the headings, as of a gyro, or of the field of view of the sensor."),
     "backlash": Stated("head geometry", "Approach each head pose from both sides", "no backlash",
                        "Repair the joint, or approach each head pose from the same side."),
 }

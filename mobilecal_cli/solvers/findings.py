@@ -14,11 +14,13 @@ from mobilecal_cli.likelihood.between import weigh_logs
 from mobilecal_cli.likelihood.constants import PATTERNS, kind_of
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.legs import wheels_minus_sensor
+from mobilecal_cli.likelihood.measurements import BASE
 from mobilecal_cli.likelihood.residual_tests import SMALL_M, SMALL_RAD
 from mobilecal_cli.model import (
     CONTRADICTION_SIGMAS,
     MATERIAL_SIGMAS,
     SIDES,
+    Diagnosis,
     EstimatedConstant,
     Evidence,
     Extraction,
@@ -34,6 +36,8 @@ from mobilecal_cli.model.text import capitalized
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.outliers import longest_stretch, moved_before
 
+_HEADING_SHARE, _HEADING_SIGMAS = 0.005, 5.0  # a scale of headings that is less is none
+_FEWEST_SCATTERED = 20  # legs whose scatter is a variance
 _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 
@@ -124,6 +128,35 @@ def _unexplained(extraction: Extraction, fit: Fit, stretch: IntArray) -> Jump:
     rejected = int(np.sum(~inliers.views[stations])), int(np.sum(~inliers.legs[stretch]))
     at = extraction.observations[first]
     return Jump("", at.log, first, at.time_ns, rejected, math.inf, math.inf, 0.0, 0.0)
+
+
+def wrong_headings(fit: Fit) -> Diagnosis | None:
+    """A scale of a planar sensor's headings: the directions of its motions tell it from the wheels' separation.
+
+    A step of all free parameters and of the scale from the optimum; its variance is by the scatter over the legs, whose
+    noise levels have taken up part of the error.
+    """
+    lin, used = fit.lin, fit.inliers.legs
+    if used.sum() < _FEWEST_SCATTERED:
+        return None
+    legs, W, shared = lin.legs, lin.leg_weight[used], lin.data.layout.size
+    by_end, residual = legs.by_end[used][:, :, BASE], legs.residual[used]
+    by_heading = np.zeros_like(residual)
+    by_heading[:, 5] = -np.array([each.motion[2] for each in lin.data.motions])[used]
+    free = lin.priors.onto_free(np.moveaxis(legs.by_shared[used], 2, 0).reshape(shared, -1))
+    J = np.concatenate([np.moveaxis(free.reshape(-1, *residual.shape), 0, 2), by_heading[..., None]], axis=2)
+    W = W - W @ by_end @ np.linalg.solve(by_end.mT @ W @ by_end, by_end.mT @ W)
+    inverse = np.linalg.pinv((J.mT @ W @ J).sum(axis=0), hermitian=True)
+    step = -inverse @ (J.mT @ (W @ residual[..., None])).sum(axis=0)
+    pulls = (J.mT @ (W @ (residual[..., None] + J @ step)))[..., 0]
+    share, std = float(step[-1, 0]), float(np.linalg.norm(pulls @ inverse[-1]))
+    if abs(share) < max(_HEADING_SHARE, _HEADING_SIGMAS * std):
+        return None
+    return Diagnosis(
+        f"the headings of the motions are {100 * abs(share):.1f} ± {100 * std:.1f} % too "
+        f"{'large' if share > 0 else 'small'} for their directions",
+        "check the scale of the headings, as of a gyro, or of the field of view of the sensor",
+    )
 
 
 def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:

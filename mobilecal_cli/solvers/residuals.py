@@ -18,8 +18,8 @@ from mobilecal_cli.likelihood.constants import PATTERNS, clocks_of, table
 from mobilecal_cli.likelihood.corners import blocks_of, board_poses, corner_residuals, of_camera
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.effects import TIMES, CameraEffect
-from mobilecal_cli.likelihood.legs import leg_covariances, sensor_motions
-from mobilecal_cli.likelihood.measurements import STAMP, in_each_camera, planar_pose
+from mobilecal_cli.likelihood.legs import leg_covariances
+from mobilecal_cli.likelihood.measurements import STAMP, in_each_camera
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import (
@@ -59,10 +59,6 @@ def at_state(
     factor = 1.0 if noise is None else getattr(noise, data.images_level) / data.claimed_px
     if T_c_k is None:
         T_c_k = board_poses(state, data.seen if corners is None else corners)
-    if data.motions:
-        i, j = data.legs.T
-        T_c_k = T_c_k.copy()
-        T_c_k[j] = se3.inverse(planar_pose(sensor_motions(state))) @ T_c_k[i]
     points_c, covariance = triangulated_again(state, pixels, se3.act(T_c_k, state.points_k))
     base = state.base.copy()
     base[:, STAMP:] = 0.0

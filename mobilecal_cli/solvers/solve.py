@@ -48,6 +48,7 @@ from mobilecal_cli.solvers.findings import (
     outliers_of,
     pool_recordings,
     scale_of,
+    wrong_headings,
 )
 from mobilecal_cli.solvers.fit import Fit, uncertainty_of
 from mobilecal_cli.solvers.inference import Inference, dataset_for
@@ -206,6 +207,7 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
         between=fit.between,
         jumps=jumps,
         suggestions=suggested,
+        diagnosis=wrong_headings(fit) if extraction.motions else None,
     )
 
 
@@ -461,7 +463,8 @@ def _diagnosis(solution: Solution, extraction: Extraction, search: Search) -> Di
             return search.interrupted
         if _fits_badly(solution, extraction):
             return search.of_whole or search.frozen if any(parts) else search.diagnosis
-    return turned_around(extraction.rig, solution.parameters.T_h_c, extraction.measured)
+    around = turned_around(extraction.rig, solution.parameters.T_h_c, extraction.measured)
+    return around or solution.diagnosis
 
 
 def _narrower_priors(extraction: Extraction, constraints: Constraints) -> dict[str, tuple[float, list[str]]]:

@@ -363,22 +363,17 @@ def test_mistakes_in_motions_are_named(said):
     assert not re.search(r"rig\.yaml|camera|image|board|wheels\.|nominal\.", raised.value.hint)
 
 
-@pytest.mark.parametrize("count", [10, 60])
 @pytest.mark.parametrize("scale", [0.98, 1.0, 1.02])
-def test_a_scale_of_headings_is_estimated_and_named(scale, count):
+def test_a_scale_of_headings_is_named(scale):
     """The separation followed, 13 sigmas off, with a PASS."""
-    given = changed_legs(legs(count, 3, times=12.0), lambda m, t: (m * [1, 1, scale], t))
+    given = changed_legs(legs(60, 2, times=12.0), lambda m, t: (m * [1, 1, scale], t))
     extraction = from_motions(given, (0.0206, 0.0206, 0.0885), T_V_C)
-    solution = solve(extraction)
-    assert np.abs(off(solution, Parameters(T_V_C, WHEELS))[6:]).max() < 3
-    shown = solution.constants["heading_scale"]
-    assert shown.value == pytest.approx(scale - 1, abs=3 * shown.std + (count < 60) * 0.02)
-    named = [check for check in judge(solution, extraction).checks if "heading_scale" in check.id]
-    assert scale != 1.0 or not named
-    assert (
-        scale == 1.0 or named or count == 10
-    )  # with few legs, it hardly shows, and the standard deviations are wide
-    assert all("Check the scale of the headings" in check.next_step for check in named)
+    verdict = judge(solve(extraction), extraction)
+    if scale == 1.0:
+        assert verdict.level == "PASS"
+        return
+    assert verdict.level == "FAIL"
+    assert f"too {'large' if scale > 1 else 'small'} for their directions" in verdict.reason
 
 
 def test_motions_without_a_known_mistake_are_refused_at_once():
