@@ -60,6 +60,7 @@ _EQUAL = 1.5  # hypotheses whose misfits differ by less cannot be distinguished
 _SAME_RAD = 0.5  # unless one of them turns the camera further from its nominal rotation by more than this
 _USED = 0.8  # share of the legs that must fit; the others may be outliers
 _PROMISING = 10 * FITS  # linear solutions beyond this are not refined
+_LEAST_GAIN = 1e-6  # of a step to their minimum, relative: less changes no decision
 _MOST_LEGS = 40  # that are scored, spread over the recording: the time does not grow with its length
 _OUTLIERS_IN_PART = 2  # with so many stations of the other part, one may still fit
 _CHANGED_SCALE = 0.05  # of a wheel's readings: less is noise of the linear method on a few stations
@@ -278,7 +279,7 @@ class Search:
                 )
                 misfit, kept = _misfit(pairs, parameters, distance_m)
                 if misfit < _PROMISING:
-                    parameters = refine_lm(pairs.select(kept), parameters).parameters
+                    parameters = refine_lm(pairs.select(kept), parameters, _LEAST_GAIN).parameters
                     misfit, _ = _misfit(pairs, parameters, distance_m)
             except (SolveError, np.linalg.LinAlgError):
                 continue

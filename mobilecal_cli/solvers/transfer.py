@@ -6,7 +6,6 @@ And its minimum: by Levenberg-Marquardt, or by Powell's method as in the paper.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from scipy.optimize import least_squares, minimize
@@ -19,7 +18,6 @@ from mobilecal_cli.model import FloatArray, Parameters, Refinement, WheelGeometr
 
 _MOST_STEPS = 100
 _LEAST_GAIN, _LEAST_STEP = 1e-12, 1e-11  # relative, of the cost and of the parameters
-_STEP = 1e-5  # of a difference: rad, m
 
 
 def base_motion(motion: Arcs) -> FloatArray:
@@ -70,14 +68,29 @@ def leg_rms_m(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(np.sum(residuals_m(pairs, parameters) ** 2, axis=-1), axis=-1)))
 
 
-def _derivatives(function: Callable[[FloatArray], FloatArray], x: FloatArray) -> FloatArray:
-    """(n, k) of a function (k,) → (n,), by central differences."""
-    differences = [function(x + step) - function(x - step) for step in _STEP * np.eye(len(x))]
-    return np.array(differences).T / (2 * _STEP)
+def by_parameters(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
+    """(3 L M, 9) derivatives of the residuals, in their order, by a step of the parameters (`Parameters.plus`), m."""
+    (i, j), motion, X = pairs.legs.T, integrate(pairs.steps, parameters.wheels), parameters.T_h_c
+    R_h_c, T_v_hi, T_v_hj = X[:3, :3], pairs.T_v_h[i], pairs.T_v_h[j]
+    T_vi_vj = base_motion(motion)
+    T_hi_hj = se3.inverse(T_v_hi) @ T_vi_vj @ T_v_hj
+    turned_h = pairs.points_c[j] @ R_h_c.T
+    points_hj = turned_h + X[:3, 3]
+    from_camera_h = se3.act(T_hi_hj, points_hj) - X[:3, 3]
+    R_hi_hj = T_hi_hj[:, None, :3, :3]
+    J = np.empty((*points_hj.shape, 9))
+    J[..., :3] = se3.skew(from_camera_h) - R_hi_hj @ se3.skew(turned_h)
+    J[..., 3:6] = R_hi_hj - np.eye(3)
+    ahead = se3.act(T_vi_vj, se3.act(T_v_hj, points_hj)) - T_vi_vj[:, None, :3, 3]
+    by_motion = np.zeros((*points_hj.shape, 3))
+    by_motion[..., 0, 0] = by_motion[..., 1, 1] = 1.0
+    by_motion[..., 0, 2], by_motion[..., 1, 2] = -ahead[..., 1], ahead[..., 0]
+    J[..., 6:] = T_v_hi[:, None, :3, :3].mT @ by_motion @ motion.by_wheels()[:, None]
+    return np.asarray(R_h_c.T @ J).reshape(-1, 9)
 
 
-def refine_lm(pairs: MotionPairs, start: Parameters) -> Refinement:
-    """Minimize eq. 19 by Levenberg-Marquardt.
+def refine_lm(pairs: MotionPairs, start: Parameters, least_gain: float = _LEAST_GAIN) -> Refinement:
+    """Minimize eq. 19 by Levenberg-Marquardt, until a step lowers it by less than this share.
 
     Raises:
         SolveError: no minimum within 100 steps.
@@ -90,14 +103,14 @@ def refine_lm(pairs: MotionPairs, start: Parameters) -> Refinement:
     def jacobian(x: FloatArray) -> FloatArray:
         """Of the start, and of each point that is better than the one before."""
         history.append(point_rms_m(pairs, start.plus(x)))
-        return _derivatives(residuals, x)
+        return by_parameters(pairs, start.plus(x))
 
     least = least_squares(
         residuals,
         np.zeros(9),
         jacobian,
         x_scale="jac",
-        ftol=_LEAST_GAIN,
+        ftol=least_gain,
         xtol=_LEAST_STEP,
         gtol=None,
         max_nfev=_MOST_STEPS,
@@ -121,7 +134,7 @@ def refine_powell(pairs: MotionPairs, start: Parameters) -> Refinement:
     Raises:
         SolveError: no minimum within scipy's limits.
     """
-    J = _derivatives(lambda x: residuals_m(pairs, start.plus(x)).ravel(), np.zeros(9))
+    J = by_parameters(pairs, start)
     H, rms = J.T @ J, point_rms_m(pairs, start)
     scale = np.sqrt(np.diag(H))
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.solvers.initial import linear_estimate
-from mobilecal_cli.solvers.transfer import point_rms_m, refine_lm, refine_powell, residuals_m
+from mobilecal_cli.solvers.transfer import by_parameters, point_rms_m, refine_lm, refine_powell, residuals_m
 from tests.solvers.test_linear import ROBOT, largest_error, pairs_of
 from tests.truth import errors, parameters_of
 
@@ -13,6 +13,13 @@ TRUTH = parameters_of(ROBOT)
 
 def test_the_truth_carries_every_point_onto_itself():
     assert np.abs(residuals_m(pairs_of(0), TRUTH)).max() < 1e-12
+
+
+def test_the_derivatives_are_those_of_differences():
+    pairs, start = pairs_of(1), TRUTH.plus(np.full(9, 0.03))
+    steps = 1e-5 * np.eye(9)
+    after = np.array([residuals_m(pairs, start.plus(step)).ravel() for step in (*steps, *-steps)])
+    assert by_parameters(pairs, start) == pytest.approx((after[:9] - after[9:]).T / 2e-5, rel=1e-6, abs=1e-6)
 
 
 def test_error_in_mm_by_hand():
