@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ _LEG_RAD, _LEG_M = 0.003, 0.003
 #: A radius or separation, and a ratio of them, that is zero but for rounding.
 NO_SIZE_M, _NO_RATIO = 1e-12, 1e-9
 _EXACT = 1e6  # weight of a fixed value over that of a nominal one
+_SETTLED = 1e-6  # relative change of the ratios: an optimization or a comparison follows
 _NEAR_HALF_TURN = 0.05  # cos(theta/2) below this: the sign of the axis is ambiguous
 
 
@@ -225,16 +225,17 @@ class Rounds:
                 return
             yield parameters
 
-    def after(self, ratios: FloatArray, rounds: int) -> Parameters:
-        """The parameters after some rounds.
+    def after(self, ratios: FloatArray, most: int) -> Parameters:
+        """The parameters after at most so many rounds; fewer where the wheels' ratios no longer change.
 
         Raises:
             SolveError: the iteration breaks down.
         """
-        parameters = next(itertools.islice(self.run(ratios), rounds - 1, None), None)
-        if parameters is None:
-            raise SolveError(
-                f"the iterative linear method breaks down on these {len(self._pairs.legs)} legs",
-                "record stations between which the base turns and drives and the head pans and tilts",
-            )
-        return parameters
+        for count, parameters in enumerate(self.run(ratios), 1):
+            before, ratios = ratios, ratios_of(parameters.wheels)
+            if count == most or np.abs(ratios - before).max() < _SETTLED * np.abs(ratios).max():
+                return parameters
+        raise SolveError(
+            f"the iterative linear method breaks down on these {len(self._pairs.legs)} legs",
+            "record stations between which the base turns and drives and the head pans and tilts",
+        )
