@@ -162,14 +162,17 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     E_base, E_board = across[:, :, :6] @ views.by_base, across[:, :, :6] @ views.by_board
     E_shared = views.onto_shared(across, views.by_shared)
 
-    both, A, of_direct = _without_own(lin, damping)
-    G, gradient = both[:, :, :-1], both[:, :, -1]
+    G, A = _without_own(lin, damping)
+    # The gradients where own errors are at their best, which move the board by so much less.
+    back = J @ (E_inverse @ e[..., None])
+    gradient = views.pull[:, :6] - (views.rows[:, :6, :6] @ back)[..., 0]
+    h = summed(views.by_shared, gradient[..., None])[:, 0]
+    h[views.columns] += views.gradient.sum(axis=0) - summed(views.rows[:, :6, 6:], back)[:, 0]
     GS, GK = views.onto_shared(G, views.by_shared), G[:, :, :6] @ views.by_board
     # By the shared parameters, delta where own errors follow; its rows of the direct constants lack ``direct``.
     delta = views.by_shared.copy()
     delta[:, :, views.columns] = -A @ views.rows[:, :6, 6:]
-    direct, h = views.direct.sum(axis=0), summed(delta, gradient[:, :, None])[:, 0]
-    h[views.columns] += of_direct
+    direct = views.direct.sum(axis=0)
     diagonal = np.einsum("nqp,nqp->p", delta, GS)
     diagonal[views.columns] += np.diag(direct)
     Bt, Kt = views.by_base.mT, views.by_board.mT
@@ -275,8 +278,8 @@ def _by_log(data: Dataset, values: FloatArray) -> FloatArray:
 
 def _without_own(
     lin: Linearization, damping: float = 0.0, beside: FloatArray | float = 0.0
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Eliminate each station's own errors without cancellation.
+) -> tuple[FloatArray, FloatArray]:
+    """Eliminate each station's own errors from the information without cancellation.
 
     They move the board in the camera by A = J P J^T, with their prior covariance P. The corners' information G = R R^T
     about delta becomes (G^-1 + A)^-1 = R (I + R^T A R)^-1 R^T. The usual G - G J (P^-1 + J^T G J)^-1 J^T G is the
@@ -287,18 +290,12 @@ def _without_own(
         beside: see `station_rows`.
 
     Returns:
-        (N, 6, Q + 1) information of delta with (delta, direct constants), and its gradient; (N, 6, 6) A; and (D,)
-        gradient of the direct constants with own errors at their means.
+        (N, 6, Q) information of delta with (delta, direct constants), and (N, 6, 6) A.
     """
-    views, P = lin.views, lin.own_sigmas**2 / (1 + damping)
-    J, G = views.by_own, views.rows[:, :6]
+    views, J, P = lin.views, lin.views.by_own, lin.own_sigmas**2 / (1 + damping)
     A = (J * P[:, None]) @ J.mT + beside
-    # With the present errors o the gradient is that of delta - J o: moved back by them, as far as they are not damped.
-    back = J @ (lin.state.own / (1 + damping))[..., None]
-    both = np.concatenate([G, views.pull[:, :6, None] - G[:, :, :6] @ back], axis=2)
-    root, inverse = roots(G[:, :, :6])
-    of_direct = views.gradient.sum(axis=0) - summed(G[:, :, 6:], back)[:, 0]
-    return root @ (np.linalg.inv(np.eye(6) + root.mT @ A @ root) @ (inverse @ both)), A, of_direct
+    root, inverse = roots(views.rows[:, :6, :6])
+    return root @ (np.linalg.inv(np.eye(6) + root.mT @ A @ root) @ (inverse @ views.rows[:, :6])), A
 
 
 def station_rows(lin: Linearization, beside: FloatArray | float = 0.0) -> FloatArray:
@@ -308,12 +305,11 @@ def station_rows(lin: Linearization, beside: FloatArray | float = 0.0) -> FloatA
         lin: the point.
         beside: (N, 6, 6) covariance of whatever else moves the board in the camera.
     """
-    both, A, _ = _without_own(lin, beside=beside)
-    both = both[:, :, :-1]
+    G, A = _without_own(lin, beside=beside)
     further = lin.views.rows[:, 6:]
-    further = further - further[:, :, :6] @ (A @ both)
-    further[:, :, :6] = both[:, :, lin.views.traced[6:]].mT
-    return np.concatenate([both, further], axis=1)
+    further = further - further[:, :, :6] @ (A @ G)
+    further[:, :, :6] = G[:, :, lin.views.traced[6:]].mT
+    return np.concatenate([G, further], axis=1)
 
 
 def _prior_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArray) -> None:

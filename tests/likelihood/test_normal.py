@@ -198,6 +198,23 @@ def test_elimination_is_exact(case):
     assert wrong[~clocks].max() < 1e-8 * largest
 
 
+def test_a_reading_that_is_left_out_costs_the_gradient_no_digits(case):
+    """Of sharp corners, it was rounding: fits never converged, and rounds of noise levels wandered, for 100 s."""
+    off_rad = np.zeros_like(case.data.joints)
+    off_rad[4, 0] = 0.5  # this reading is no inlier
+    state = initial_state(case.data, parameters_of(PAPER_ROBOT), Inliers.all_of(case.data))
+    own = state.own.copy()
+    own[:, JOINTS] = off_rad
+    state = replace(state, data=replace(case.data, joints=case.data.joints - off_rad), own=own)
+    sharp = replace(NOISE, pixel_px=0.005, joint_rad=1e-4, pair_s=1e-5, shift_px=1e-3)
+    lin = Posterior.at(state, case.lin.inliers, sharp, case.lin.priors)
+    still = np.zeros(case.sizes[0])
+    best = lin.predicted(eliminated(lin).step(still))
+    again = best.predicted(eliminated(best).step(still))
+    apart = (eliminated(again).s - eliminated(best).s) / np.sqrt(np.diag(lin.normal.S))
+    assert np.abs(apart).max() < 1e-8
+
+
 @pytest.mark.parametrize("damping", [0.1, 100.0])
 def test_a_damped_step_gains_what_it_promises_along_the_gradient(case, damping):
     """With another gradient, no damped step decreased the cost: fits ended where one was needed.
