@@ -17,8 +17,6 @@ _EXACT = 5e-16  # relative rounding error of the distorted coordinates
 _CORRECTION_ROUNDS = 6  # Newton's method on a displacement of a few pixels
 _MOST_HALF_WAVES = 6  # over the image: a wave of a third of its width
 _WAVES = np.array([(k, n - k) for n in range(1, _MOST_HALF_WAVES + 1) for k in range(n, -1, -1)])
-#: Terms of a lens correction: four of the distortion, and all waves along x and y.
-LENS_TERMS = 4 + 2 * len(_WAVES)
 _AXIS = 1e-6  # tangent of the angle to the optical axis below which the equidistant model uses its series
 
 
@@ -152,20 +150,15 @@ def lens_terms(
 
 
 def lens_terms_up_to(half_waves: int) -> int:
-    """Terms of a lens correction with all waves of at most so many half waves over the image."""
+    """Terms of a lens correction: four of the distortion, and waves of at most so many half waves, along x and y."""
     return 4 + 2 * int(np.sum(_WAVES.sum(axis=1) <= half_waves))
 
 
 def _waves(camera: Camera, pixels: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
     """cos(pi k u) cos(pi l v), u and v from 0 to 1 over the image, with k + l = 1, 2, and so on.
 
-    Args:
-        camera: gives the image size.
-        pixels: (..., 2).
-        count: W, number of waves, the longest first.
-
     Returns:
-        (..., W), and (..., W, 2) by the pixels.
+        (..., W) of the W longest waves, and (..., W, 2) by the pixels.
     """
     along_u, along_v = _WAVES[:count].T
     per_px = np.pi * np.arange(along_u.max() + 1) / np.array([[camera.width], [camera.height]])

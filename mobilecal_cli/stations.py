@@ -164,9 +164,9 @@ def _elsewhere(signals: Signals, since_ns: int, until_ns: int) -> str:
     )
 
 
-def _silences(signals: Signals) -> Iterator[str]:
+def _silences(log: _Pairs) -> Iterator[str]:
     """A note where one camera recorded nothing for a while and another did: a cable, or a full disk."""
-    recorded_ns = signals.recorded_ns
+    recorded_ns = log.signals.recorded_ns
     for name, own in recorded_ns.items() if len(recorded_ns) > 1 else ():
         other = max((k for k in recorded_ns if k != name), key=lambda k: len(recorded_ns[k]))
         others = recorded_ns[other]
@@ -182,7 +182,7 @@ def _silences(signals: Signals) -> Iterator[str]:
             check = f"Check the cable and the driver of the {camera_words(name)}."
             yield (
                 f"No {name} images for {(end - begin) / _NS:.0f} s, from {since:.0f} s after the first image on, "
-                f"while there are {missed} {other} images. {_elsewhere(signals, begin, end) or check}"
+                f"while there are {missed} {other} images. {_elsewhere(log.signals, begin, end) or check}"
             )
 
 
@@ -302,9 +302,9 @@ def _station(index: int, pairs: list[Shot], at_rest: bool, tracks: Sequence[Trac
     return Station(index, at_rest, tuple(pairs), time_ns, np.array(mean), np.array(scatter))
 
 
-def _blind(signals: Signals, channels: Sequence[_Channel]) -> Iterator[str]:
+def _blind(log: _Pairs) -> Iterator[str]:
     """A note where no camera records anything for a while, and the robot moves: a cable, a driver, or a full disk."""
-    recorded_ns = signals.recorded_ns
+    recorded_ns, channels = log.signals.recorded_ns, log.channels
     taken = np.unique(np.concatenate([*recorded_ns.values()]))
     begin_ns = max(int(c.track.time_ns[0]) for c in channels)
     end_ns = min(int(c.track.time_ns[-1]) for c in channels)
@@ -321,17 +321,15 @@ def _blind(signals: Signals, channels: Sequence[_Channel]) -> Iterator[str]:
         check = f"Check the {which}, cables and drivers, and the recorder."
         yield (
             f"{NO_IMAGES} {(until - since) / _NS:.0f} s, from {(since - begin_ns) / _NS:.0f} s after the first "
-            f"reading on, while the robot moves. {_elsewhere(signals, since, until) or check}"
+            f"reading on, while the robot moves. {_elsewhere(log.signals, since, until) or check}"
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """The shots of a log.
+    """The shots of a log with these signals.
 
     Attributes:
-        signals: of the log.
-        wheels: both wheels.
         channels: its joints and wheels.
         rests: the shots with readings of all of them and new images, in which nothing moves, by rest.
         moving: those taken in motion, in order of time; where the images are too far apart for it, in parts.
@@ -508,9 +506,7 @@ def plan_stations(
     notes = [
         f"a piece of the recording between clock steps is not used: {e.message}" for e in problems.values()
     ]
-    notes += (note for log in paired for note in _silences(log.signals))
-    notes += (note for log in paired for note in _blind(log.signals, log.channels))
-    notes += (note for log in paired for note in _not_used(log))
+    notes += (note for notes_of in (_silences, _blind, _not_used) for log in paired for note in notes_of(log))
     notes += dict.fromkeys(note for log in paired for note in _slow_wheels(log.channels[len(chain.joints) :]))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"

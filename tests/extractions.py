@@ -25,7 +25,8 @@ from mobilecal_cli.model import (
 from mobilecal_cli.simulate.record import nanoseconds
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import Route, plan_route
-from mobilecal_cli.vision import Miss, StereoPoints, board_pose, square_from_points, triangulate
+from mobilecal_cli.vision import Miss
+from mobilecal_cli.vision.pose import StereoPoints, board_pose, square_from_points, triangulate
 from tests.actual import (
     STATION_NOISE as STATION_NOISE,
 )

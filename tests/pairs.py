@@ -6,6 +6,7 @@ import numpy as np
 
 from mobilecal_cli import stations, vision
 from mobilecal_cli.model import SIDES, CameraRig, Corners, Observation, PictureIndex
+from mobilecal_cli.vision import pose as geometry
 
 
 def with_views(o: Observation, left=None, right=None, **others) -> Observation:
@@ -32,22 +33,22 @@ def corners_of(pixels, noise) -> Corners:
 
 
 def triangulate(cameras, left, right, noise_left, noise_right):
-    """See `vision.triangulate`."""
-    return vision.triangulate(cameras, [corners_of(left, noise_left), corners_of(right, noise_right)])
+    """See `vision.pose.triangulate`."""
+    return geometry.triangulate(cameras, [corners_of(left, noise_left), corners_of(right, noise_right)])
 
 
 def board_pose(cameras, points_k, left, right, noise_left, noise_right, start, free_scale=False):
-    """See `vision.board_pose`."""
+    """See `vision.pose.board_pose`."""
     views = [corners_of(left, noise_left), corners_of(right, noise_right)]
-    return vision.board_pose(cameras, points_k, views, start, free_scale)
+    return geometry.board_pose(cameras, points_k, views, start, free_scale)
 
 
 def measured_anew(cameras, o: Observation, points_k, left: Corners, right: Corners) -> Observation | None:
     """An observation with other corners, and what follows from them; None if they cannot be triangulated."""
-    points = vision.triangulate(cameras, [left, right])
+    points = geometry.triangulate(cameras, [left, right])
     if isinstance(points, vision.Miss):
         return None
-    pose = vision.board_pose(cameras, points_k, [left, right], o.T_c_k)
+    pose = geometry.board_pose(cameras, points_k, [left, right], o.T_c_k)
     return replace(
         o,
         views=(left, right),

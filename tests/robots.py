@@ -36,7 +36,8 @@ from mobilecal_cli.simulate.robot import (
     pose,
 )
 from mobilecal_cli.simulate.route import Route
-from mobilecal_cli.vision import Miss, pose_from_one
+from mobilecal_cli.vision import Miss
+from mobilecal_cli.vision.pose import pose_from_one
 
 
 def chain_of(robot: SimulatedRobot) -> HeadChain:

@@ -34,15 +34,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import listed
 from mobilecal_cli.readers import Recording, open_recording, read_images, read_signals
 from mobilecal_cli.stations import Plan, images_of, plan_stations, spread
-from mobilecal_cli.vision import (
-    BoardFollower,
-    Detection,
-    Measured,
-    Miss,
-    SizeVote,
-    identify_size,
-    measure,
-)
+from mobilecal_cli.vision import BoardFollower, Detection, Measured, Miss, SizeVote, identify_size, measure
 
 SNAPSHOTS = 60  # images kept for the report, limited to save memory
 _QUALITY = 85  # of their JPEGs

@@ -177,8 +177,6 @@ def _scene(
     """The scene of a calibration.
 
     Args:
-        extraction: its measurements.
-        params: its file.
         report: text of its report.json, which names the outliers and the legs that were used; None for the file next to
             params.yaml, if it exists.
         logs: its recordings, for the images; none for a scene without images.

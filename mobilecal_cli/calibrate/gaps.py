@@ -85,10 +85,8 @@ def require_observable(extraction: Extraction) -> None:
     """
     gaps = motion_gaps(extraction)
     if unseen_height(extraction.rig.chain) is not None:
-        because, cure = (
-            "no joint of the head tilts the camera",
-            "use --method ml, which takes it as described",
-        )
+        because = "no joint of the head tilts the camera"
+        cure = "use --method ml, which takes it as described"
         gaps = (Gap(("height of the camera",), because, cure, ()), *gaps)
     if gaps:
         raise SolveError(

@@ -42,15 +42,10 @@ class Data:
     gates: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check.
-
-        Raises:
-            ConfigError: no measurements.
-        """
+        """Refuse anything else than measurements."""
         require("extraction", self.extraction, Extraction, "what from_poses() returns, or use extract()")
 
     def __repr__(self) -> str:
-        """One line."""
         return f"Data({self.extraction!r})"
 
 

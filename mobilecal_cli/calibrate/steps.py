@@ -79,7 +79,6 @@ class Fit:
     trial: Evaluation | None = None
 
     def __repr__(self) -> str:
-        """One line."""
         return (
             f"Fit({self.method!r}, {self.extraction!r}, point error {1e3 * self.solution.point_rms_m:.3g} mm)"
         )
@@ -298,7 +297,6 @@ class Report:
         self.robot = replace(robot, verdict=level, reasons=reasons)
 
     def __repr__(self) -> str:
-        """One line."""
         return f"Report({self.verdict.level}, {self.fit!r})"
 
     def __str__(self) -> str:

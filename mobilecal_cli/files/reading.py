@@ -124,10 +124,8 @@ _WORDS = {
 
 def problem_of(item: ErrorDetails) -> str:
     """One error of a schema: the dotted key, what is wrong, and the value."""
-    key, said = (
-        ".".join(str(part) for part in item["loc"]) or "the file",
-        item["msg"].partition(", unable")[0],
-    )
+    key = ".".join(str(part) for part in item["loc"]) or "the file"
+    said = item["msg"].partition(", unable")[0]
     for words, plain in _WORDS.items():
         said = said.replace(words, plain)
     value = reprlib.repr(item["input"])

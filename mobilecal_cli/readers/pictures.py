@@ -65,7 +65,6 @@ def _read(
 
     Args:
         missing: topic → log time and stamp of an image → its cameras, and the times to return.
-        extent: how much of the recording is read.
     """
     videos: dict[str, Video] = {}
     for message in recording.messages([topic for topic, places in missing.items() if places], extent):

@@ -8,7 +8,7 @@ import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -23,13 +23,7 @@ from rosbags.typesys.store import Typestore
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.errors import OutputError
-from mobilecal_cli.export.outputs import (
-    check_output,
-    files_in,
-    recognized_file,
-    write_all,
-    write_synced,
-)
+from mobilecal_cli.export.outputs import check_output, files_in, recognized_file, write_all, write_synced
 from mobilecal_cli.model import CameraInfo, FloatArray, IntArray, WheelGeometry
 from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, TICK_BITS, TICKS_PER_REVOLUTION, urdf_text
 from mobilecal_cli.simulate.scenario import PIXEL_NOISE_GREY, Scenario, World
@@ -63,28 +57,21 @@ class Published:
     fields: Mapping[str, Any]
 
 
-class Publisher:
-    """Serializes messages for ROS 1 or ROS 2, which differ in field names only."""
+def _serialized(published: Published, store: Typestore, ros1: bool) -> bytes:
+    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+    return bytes(serialize(_made(published.type, published.fields, store), published.type))
 
-    def __init__(self, ros: Literal[1, 2]) -> None:
-        self.ros = ros
-        self.store: Typestore = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
 
-    def serialized(self, published: Published) -> bytes:
-        """The bytes of a message."""
-        serialize = self.store.serialize_ros1 if self.ros == 1 else self.store.serialize_cdr
-        return bytes(serialize(self._made(published.type, published.fields), published.type))
-
-    def _made(self, kind: str, given: Mapping[str, Any]) -> Any:  # noqa: ANN401  (a generated class)
-        fields: dict[str, Any] = {}
-        definition: Any = self.store.fielddefs[kind][1]  # rosbags' nested tuples
-        for name, (node, what) in definition:
-            ros2_name = name.lower()  # ROS 1 has the matrices of a camera in upper case
-            if node == Nodetype.NAME:
-                fields[name] = self._made(what, given.get(ros2_name, {}))
-            else:
-                fields[name] = given.get(ros2_name, 0 if node == Nodetype.BASE else np.zeros(what[1]))
-        return self.store.types[kind](**fields)
+def _made(kind: str, given: Mapping[str, Any], store: Typestore) -> Any:  # noqa: ANN401  (a generated class)
+    fields: dict[str, Any] = {}
+    definition: Any = store.fielddefs[kind][1]  # rosbags' nested tuples
+    for name, (node, what) in definition:
+        ros2_name = name.lower()  # ROS 1 has the matrices of a camera in upper case
+        if node == Nodetype.NAME:
+            fields[name] = _made(what, given.get(ros2_name, {}), store)
+        else:
+            fields[name] = given.get(ros2_name, 0 if node == Nodetype.BASE else np.zeros(what[1]))
+    return store.types[kind](**fields)
 
 
 def _header(time_ns: int, frame_id: str = "") -> dict[str, Any]:
@@ -214,20 +201,20 @@ def published(world: World, drawn: Callable[[int, int], None]) -> Iterator[Publi
 
 
 def _mcap(
-    compression: CompressionType, path: Path, messages: Iterable[Published], publisher: Publisher
+    compression: CompressionType, path: Path, messages: Iterable[Published], store: Typestore, ros1: bool
 ) -> None:
-    profile, encoding = ("ros1", "ros1") if publisher.ros == 1 else ("ros2", "cdr")
+    profile, encoding = ("ros1", "ros1") if ros1 else ("ros2", "cdr")
     with path.open("wb") as stream:
         writer = McapWriter(stream, compression=compression)
         writer.start(profile=profile, library="mobilecal simulate")
         channels: dict[str, int] = {}
         for published in messages:
             if published.topic not in channels:
-                definition, _ = publisher.store.generate_msgdef(published.type, ros_version=publisher.ros)
-                name = published.type.replace("/msg/", "/") if publisher.ros == 1 else published.type
+                definition, _ = store.generate_msgdef(published.type, ros_version=1 if ros1 else 2)
+                name = published.type.replace("/msg/", "/") if ros1 else published.type
                 schema = writer.register_schema(name, f"{profile}msg", definition.encode())
                 channels[published.topic] = writer.register_channel(published.topic, encoding, schema)
-            time_ns, data = published.time_ns, publisher.serialized(published)
+            time_ns, data = published.time_ns, _serialized(published, store, ros1)
             writer.add_message(channels[published.topic], time_ns, data, time_ns)
         writer.finish()  # type: ignore[no-untyped-call]
 
@@ -246,9 +233,9 @@ _BAG = {"bag-lz4": BagWriter.CompressionFormat.LZ4, "bag-bz2": BagWriter.Compres
 def write(container: Container, path: Path, messages: Iterable[Published]) -> None:
     """Write messages, in order of time, as a recording."""
     ros1 = container.startswith("bag") or container == "mcap-ros1"
-    publisher = Publisher(1 if ros1 else 2)
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     if container in _MCAP:
-        _mcap(_MCAP[container], path, messages, publisher)
+        _mcap(_MCAP[container], path, messages, store, ros1)
         return
     writer: Any = BagWriter(path)
     if container in _ROSBAG2:
@@ -260,8 +247,8 @@ def write(container: Container, path: Path, messages: Iterable[Published]) -> No
         for published in messages:
             topic = published.topic
             if topic not in connections:
-                connections[topic] = writer.add_connection(topic, published.type, typestore=publisher.store)
-            writer.write(connections[topic], published.time_ns, publisher.serialized(published))
+                connections[topic] = writer.add_connection(topic, published.type, typestore=store)
+            writer.write(connections[topic], published.time_ns, _serialized(published, store, ros1))
 
 
 def truth_path(out: Path) -> Path:

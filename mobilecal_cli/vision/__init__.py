@@ -15,11 +15,4 @@ from mobilecal_cli.vision.following import BoardFollower
 from mobilecal_cli.vision.grid import resolve_numbering
 from mobilecal_cli.vision.markers import readable_words
 from mobilecal_cli.vision.observing import Measured, measure, resolve_square
-from mobilecal_cli.vision.pose import (
-    absolute_orientation,
-    board_pose,
-    pose_from_one,
-    square_from_points,
-    triangulate,
-)
-from mobilecal_cli.vision.values import Detection, Miss, StereoPoints
+from mobilecal_cli.vision.values import Detection, Miss

@@ -151,7 +151,6 @@ def _samples(columns: int, rows: int, outer: float, beyond: int) -> FloatArray:
     """Nine grid coordinates in each square, (rows + 1 + 2 beyond, columns + 1 + 2 beyond, 9, 2).
 
     Args:
-        columns, rows: inner corners.
         outer: distance of the middle of an outer square's samples from the corners.
         beyond: number of lines of squares beyond the board, each one square further.
     """

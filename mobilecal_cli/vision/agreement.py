@@ -14,7 +14,8 @@ import numpy as np
 from mobilecal_cli.errors import ObservationError
 from mobilecal_cli.model import Board, Camera, CameraRig, Corners, FloatArray, Reason, Rejection
 from mobilecal_cli.vision.observing import Measured, best_fit
-from mobilecal_cli.vision.values import Detection, StereoPoints
+from mobilecal_cli.vision.pose import StereoPoints
+from mobilecal_cli.vision.values import Detection
 
 Pair = tuple[Detection, Detection]
 _EPIPOLAR_PX = 1.5  # rows of the two images about 4 px apart
@@ -138,11 +139,7 @@ def _misfit_px(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray
 
 
 def _check_repeated(pairs: Sequence[Pair]) -> None:
-    """Refuse images that are those of the other camera, or always the same.
-
-    Raises:
-        ObservationError: names the camera.
-    """
+    """Refuse images that are those of the other camera, or always the same."""
     corners = np.stack([[a.pixels, b.pixels] for a, b in pairs])
     apart_px = np.abs(corners[:, 0] - corners[:, 1]).max(axis=(1, 2))
     if np.median(apart_px) < _SAME_PX:
@@ -179,16 +176,11 @@ def check_arrangement(
         return
     if len(pairs) >= _FEWEST:
         _check_repeated(pairs)
-    gross = [
-        isinstance(station, Rejection) or (station.points is not None and station.points.rms_px > _GROSS_PX)
-        for station in measured
-        if (
-            station.reason == Reason.INCONSISTENT
-            if isinstance(station, Rejection)
-            else station.points is not None
-        )
-    ]
-    if sum(gross) < _FEWEST or 2 * sum(gross) < len(gross):
+    triangulated = [m.points for m in measured if isinstance(m, Measured) and m.points is not None]
+    refused = sum(isinstance(m, Rejection) and m.reason == Reason.INCONSISTENT for m in measured)
+    gross = refused + sum(points.rms_px > _GROSS_PX for points in triangulated)
+    total = refused + len(triangulated)
+    if gross < _FEWEST or 2 * gross < total:
         return
     misfits_px = {mistake: _undone_px(rig, board, mistake, pairs) for mistake in _MISTAKES}
     for by, mistake in ((1, _LATE), (-1, _EARLY)):
@@ -197,10 +189,10 @@ def check_arrangement(
         misfits_px[mistake] = float(np.median(apart_px)) if apart_px else np.inf
     likely = min(misfits_px, key=lambda mistake: misfits_px[mistake])
     facts = (
-        f"at {sum(gross)} of {len(gross)} stations, corners are behind a camera, or more than {_GROSS_PX:g} px from "
+        f"at {gross} of {total} stations, corners are behind a camera, or more than {_GROSS_PX:g} px from "
         "their epipolar lines"
     )
-    in_part = sum(gross) < _NEARLY_ALL * len(gross)
+    in_part = gross < _NEARLY_ALL * total
     if misfits_px[likely] <= _EPIPOLAR_PX:
         cure = _MISTAKES[likely][2] if likely in _MISTAKES else _CLOCK
         raise ObservationError(

@@ -79,10 +79,8 @@ def readable_words(board: Board | None) -> str:
         squares = f"squares of {MIN_EDGE_PX:.0f} pixels or more"
         return squares if board is not None else f"3 x 3 inner corners or more and {squares}"
     markers = board.markers
-    side, border = (
-        _READ_PX * _cells(markers),
-        " and board.border_bits match" if markers.kind == "aprilgrid" else " matches",
-    )
+    side = _READ_PX * _cells(markers)
+    border = " and board.border_bits match" if markers.kind == "aprilgrid" else " matches"
     return f"markers of {side} pixels or more, and check that board.dictionary ({markers.dictionary}){border} the board"
 
 

@@ -30,6 +30,8 @@ from mobilecal_cli.model import (
 from mobilecal_cli.vision.grid import turned, turned_view, turns
 from mobilecal_cli.vision.grid_map import roughness_px, scatter_px
 from mobilecal_cli.vision.pose import (
+    BoardPose,
+    StereoPoints,
     absolute_orientation,
     board_pose,
     common,
@@ -37,15 +39,7 @@ from mobilecal_cli.vision.pose import (
     square_from_points,
     triangulate,
 )
-from mobilecal_cli.vision.values import (
-    FLOOR_PX,
-    LEAST_CORNERS,
-    BoardPose,
-    Detection,
-    Miss,
-    StereoPoints,
-    rms,
-)
+from mobilecal_cli.vision.values import FLOOR_PX, LEAST_CORNERS, Detection, Miss, rms
 
 _MAX_DRIFT_PX = 0.5
 _DRIFT_SIGMAS = 4.0
@@ -135,8 +129,6 @@ def _unusable(names: Sequence[str], shots: Sequence[Sequence[Detection | Miss | 
     misses = {name: [item for item in items if isinstance(item, Miss)] for name, items in by_camera}
     every = [miss for of_camera in misses.values() for miss in of_camera]
     what = shots_words(len(names))
-    if not every:
-        return f"no {what}", f"the station has no {what}"
     detail = f"{len(shots)} {what}"
     for name, items in misses.items():
         first = {miss.reason: miss.detail for miss in reversed(items)}

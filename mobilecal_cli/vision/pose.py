@@ -3,19 +3,55 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from mobilecal_cli import camera, se3
 from mobilecal_cli.model import BoolArray, CameraRig, Corners, FloatArray, Reason
-from mobilecal_cli.vision.values import BoardPose, Miss, StereoPoints, rms
+from mobilecal_cli.vision.values import Miss, rms
 
 _TRIANGULATION_STEPS = 12
 _MOST_APART_PX = 20.0  # beyond it the pixels are not the same point, and the linearized covariance is invalid
 _POSE_STEPS = 50  # far more than any pose needs
 _DAMPING, _FACTOR = 1e-6, 10.0  # at first, hardly shortening a step; and its change after a good or a bad one
 _CONVERGED = 1e-10  # relative change of the sum of squares that a step promises
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoPoints:
+    """Corners seen by two or more cameras.
+
+    Attributes:
+        points_c: (M, 3) in the first camera's frame, m.
+        points_cov: (M, 3, 3) their covariances, m^2.
+        rms_px: root mean square of the reprojection residuals (two per point and camera), px; of two cameras' four, one
+            is the distance from the epipolar line, the other three are fitted.
+    """
+
+    points_c: FloatArray
+    points_cov: FloatArray
+    rms_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardPose:
+    """Pose of the board.
+
+    Attributes:
+        T_c_k: (4, 4) board coordinates to first camera coordinates, m.
+        T_c_k_cov: (6, 6) its covariance, tangent order of `se3`, left perturbation T = exp(delta) T_c_k.
+        scale: best factor on the board's points; 1 if it was fixed.
+        scale_sigma: its standard deviation; 0 if it was fixed.
+        rms_px: root mean square of the reprojection residuals per coordinate, px.
+    """
+
+    T_c_k: FloatArray
+    T_c_k_cov: FloatArray
+    scale: float
+    scale_sigma: float
+    rms_px: float
 
 
 def reproject(rig: CameraRig, points_c: FloatArray) -> tuple[FloatArray, FloatArray]:

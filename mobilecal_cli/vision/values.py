@@ -74,41 +74,6 @@ class Miss:
     detail: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StereoPoints:
-    """Corners seen by two or more cameras.
-
-    Attributes:
-        points_c: (M, 3) in the first camera's frame, m.
-        points_cov: (M, 3, 3) their covariances, m^2.
-        rms_px: root mean square of the reprojection residuals (two per point and camera), px; of two cameras' four, one
-            is the distance from the epipolar line, the other three are fitted.
-    """
-
-    points_c: FloatArray
-    points_cov: FloatArray
-    rms_px: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BoardPose:
-    """Pose of the board.
-
-    Attributes:
-        T_c_k: (4, 4) board coordinates to first camera coordinates, m.
-        T_c_k_cov: (6, 6) its covariance, tangent order of `se3`, left perturbation T = exp(delta) T_c_k.
-        scale: best factor on the board's points; 1 if it was fixed.
-        scale_sigma: its standard deviation; 0 if it was fixed.
-        rms_px: root mean square of the reprojection residuals per coordinate, px.
-    """
-
-    T_c_k: FloatArray
-    T_c_k_cov: FloatArray
-    scale: float
-    scale_sigma: float
-    rms_px: float
-
-
 def rms(residuals: FloatArray) -> float:
     """Root mean square of all elements."""
     return float(np.sqrt(np.mean(np.square(residuals))))

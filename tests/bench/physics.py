@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from mobilecal_cli.model import Corners, Extraction, Observation, Track, WheelTrack
 from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.simulate.route import plan_route, wheel_speeds
-from mobilecal_cli.vision import board_pose, square_from_points, triangulate
+from mobilecal_cli.vision.pose import board_pose, square_from_points, triangulate
 from tests.bench.imperfect import LEVELS, level_counts, run_of
 from tests.bench.study import Study, head, line
 from tests.robots import corners_of, in_cameras, rig_of

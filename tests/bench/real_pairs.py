@@ -36,17 +36,9 @@ from mobilecal_cli.solvers.findings import contradictions_of
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
-from mobilecal_cli.vision import (
-    Detection,
-    Miss,
-    absolute_orientation,
-    board_pose,
-    detect,
-    resolve_square,
-    square_from_points,
-    triangulate,
-)
+from mobilecal_cli.vision import Detection, Miss, detect, resolve_square
 from mobilecal_cli.vision.observing import StationCorners
+from mobilecal_cli.vision.pose import absolute_orientation, board_pose, square_from_points, triangulate
 from tests.bench import study
 from tests.bench.study import Study
 from tests.pairs import measure, pair_of, with_pair

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mobilecal_cli import se3, vision
+from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.model import Board, Corners
+from mobilecal_cli.vision import pose as geometry
 from mobilecal_cli.vision.pose import absolute_orientation, pose_from_one, pose_residuals, square_from_points
 from tests.pairs import board_pose
 from tests.vision.scenes import random_pose, seen, stereo_rig
@@ -109,5 +110,5 @@ def test_the_pose_by_one_camera_is_the_better_one_of_two() -> None:
         T_c_k = se3.transform(se3.exp_so3(turn), np.array([*rng.uniform(-0.3, 0.3, 2), 4.0]))
         pixels = project(rig.each[0], se3.act(T_c_k, POINTS_K)) + 0.3 * rng.standard_normal((54, 2))
         view = Corners(pixels, 0.3, 1)
-        least = vision.board_pose(rig, POINTS_K, [view], T_c_k).rms_px
+        least = geometry.board_pose(rig, POINTS_K, [view], T_c_k).rms_px
         assert pose_from_one(rig, POINTS_K, view).rms_px <= least * (1 + 1e-6)

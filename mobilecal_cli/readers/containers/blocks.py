@@ -10,11 +10,10 @@ import heapq
 from abc import abstractmethod
 from array import array
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain, count, islice, repeat
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -79,23 +78,16 @@ class BlockStorage(Storage):
     of the file.
     """
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
+    #: Whether log times go back inside a block.
+    _goes_back = False
+
+    def read(self) -> None:
         self.blocks: list[Block] = []
-        #: Whether log times go back inside a block.
-        self._goes_back = False
-        self._stream = path.open("rb")
-        self.size = path.stat().st_size
-        try:
-            self.find_blocks()
-        except BaseException:
-            self.close()
-            raise
+        self._stream = self.files.enter_context(self.path.open("rb"))
+        self.size = self.path.stat().st_size
+        self.find_blocks()
         self._undo_steps()
         self.set_time_range()
-
-    def close(self) -> None:
-        self._stream.close()
 
     #: Bytes of the shortest record, and of the longest head by which `likely_records` recognizes one.
     SHORTEST_RECORD: ClassVar[int]
@@ -203,18 +195,20 @@ class BlockStorage(Storage):
             self.compare_counts(topics, read)
 
     def log_times(self) -> IntArray:
-        return np.concatenate([np.zeros((2, 0), np.int64), *(self._times(self.blocks) or ())], axis=1)
+        return np.concatenate([np.zeros((2, 0), np.int64), *(self._times() or ())], axis=1)
 
-    def _times(self, blocks: Iterable[Block]) -> list[IntArray] | None:
+    def _times(self) -> list[IntArray] | None:
         """(2, n) channel ids and log times of each block's messages; None if too much would be read for them."""
         every, unindexed = [], 0
-        for block in blocks:
-            times = self.indexed(block)
+        for block in self.blocks:
+            channel, log_ns = self._index(block)[0]
+            known = log_ns < LATEST_NS
+            times = np.stack([channel[known], block.shifted(log_ns[known])])
             if not times.size:
                 unindexed += block.size
                 if unindexed > UNINDEXED_BYTES:
                     return None
-                times = self.scanned(block, self.note)
+                times = self._scanned(block, self.note)
             every.append(times)
         return every
 
@@ -239,14 +233,8 @@ class BlockStorage(Storage):
         order = np.argsort(place, kind="stable")
         return np.stack([channel[order], log_ns[order]]), end
 
-    def indexed(self, block: Block) -> IntArray:
-        """(2, n) channel ids and log times of a block's messages, by the index of a chunk; none without one."""
-        channel, log_ns = self._index(block)[0]
-        known = log_ns < LATEST_NS
-        return np.stack([channel[known], block.shifted(log_ns[known])])
-
-    def scanned(self, block: Block, note: Callable[[str], None]) -> IntArray:
-        """As `indexed`, from the messages themselves, up to the first damage, which `note` receives."""
+    def _scanned(self, block: Block, note: Callable[[str], None]) -> IntArray:
+        """(2, n) channel ids and log times of a block's messages, up to the first damage, which `note` receives."""
         times = array("q")
         for number, time_ns, _ in self._messages_of(block, note):
             if time_ns < LATEST_NS:
@@ -259,7 +247,7 @@ class BlockStorage(Storage):
         for block in self.blocks:
             may_step |= block.start_ns < latest_ns - LEAST_BACK_NS
             latest_ns = max(latest_ns, block.end_ns)
-        times = self._times(self.blocks) if may_step else None
+        times = self._times() if may_step else None
         if times is None:
             return
         shift_ns = self.shifts_of(*np.concatenate(times, axis=1))
@@ -387,7 +375,7 @@ class BlockStorage(Storage):
         damage: list[str] = []
         times, end = self._index(block)
         if truncated or not set(times[0].tolist()) <= self.channels.keys() or not times.size:
-            times = self.scanned(block, damage.append)
+            times = self._scanned(block, damage.append)
         if not truncated:  # what is truncated is noted as such
             for sentence in damage:
                 self.note(sentence)

@@ -8,7 +8,6 @@ import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 from mcap import records
@@ -45,12 +44,9 @@ class McapStorage(BlockStorage):
     SHORTEST_RECORD = LONGEST_HEAD = _HEAD.size
     TRUNCATED = "the file ends inside a {error} at byte {at} of {size}"
 
-    def __init__(self, path: Path) -> None:
-        self._schemas: dict[int, records.Schema] = {}
-        super().__init__(path)
-
     def find_blocks(self) -> None:
         """Scan the file, with the channels in its summary, which chunks also define."""
+        self._schemas: dict[int, records.Schema] = {}
         with suppress(Exception):  # damage may raise anything
             _, body, _ = self._head(self.size - _FOOTER)
             (at,) = struct.unpack("<Q", self.read_at(body, 8))
@@ -137,7 +133,6 @@ class McapStorage(BlockStorage):
         return end, block
 
     def likely_records(self, window: bytes, *, chunks: bool) -> Iterator[int]:
-        """Places in some bytes where a chunk, or a message or chunk, may begin."""
         for match in (_CHUNKS if chunks else _KINDS).finditer(window):
             yield match.start()
 

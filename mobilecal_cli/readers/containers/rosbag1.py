@@ -36,8 +36,8 @@ def _u32(fields: Fields, name: bytes) -> int:
     return int(_U32.unpack(fields[name])[0])
 
 
-def _time_ns(fields: Fields, name: bytes) -> int:
-    seconds, nanoseconds = _TIME.unpack(fields[name])
+def _time_ns(fields: Fields) -> int:
+    seconds, nanoseconds = _TIME.unpack(fields[b"time"])
     return int(seconds) * 10**9 + int(nanoseconds)
 
 
@@ -93,7 +93,7 @@ class BagStorage(BlockStorage):
 
     def find_blocks(self) -> None:
         """Scan the file. One with chunks and without an index at its end was not closed."""
-        fields, _, first = self._head(len(MAGIC))
+        fields, _, first = _record(self.read_at, len(MAGIC))
         if fields.get(b"encryptor"):
             raise RecordingError(
                 f"{self.path}: the bag is encrypted ({fields[b'encryptor'].decode(errors='replace')})",
@@ -110,10 +110,6 @@ class BagStorage(BlockStorage):
                 f"{self.counts.total()} messages"
             )
 
-    def _head(self, at: int) -> tuple[Fields, int, int]:
-        """Header fields of the record at byte `at` of the file, and begin and end of its data."""
-        return _record(self.read_at, at)
-
     def decompressed(self, chunk: bytes) -> bytes:
         fields, body, end = _record(_reads(chunk), 0)
         data, method = chunk[body:end], fields[b"compression"].decode()
@@ -127,18 +123,17 @@ class BagStorage(BlockStorage):
             kind = fields[b"op"][0]
             content = read(body, end - body)
             if kind == _MESSAGE:
-                yield _u32(fields, b"conn"), _time_ns(fields, b"time"), content
+                yield _u32(fields, b"conn"), _time_ns(fields), content
             elif kind == _CONNECTION:
                 self._define(fields, bytes(content))
             at = end
 
     def index_record(self, at: int) -> tuple[int, IntArray, int] | None:
-        fields, body, end = self._head(at)
+        fields, body, end = _record(self.read_at, at)
         if fields[b"op"][0] != _INDEX:
             return None
-        seconds, nanoseconds, place = (
-            np.frombuffer(self.read_at(body, end - body), "<u4").reshape(-1, 3).astype(np.int64).T
-        )
+        entries = np.frombuffer(self.read_at(body, end - body), "<u4").reshape(-1, 3).astype(np.int64)
+        seconds, nanoseconds, place = entries.T
         return _u32(fields, b"conn"), np.stack([seconds * 10**9 + nanoseconds, place], axis=1), end
 
     def _define(self, fields: Fields, data: bytes) -> None:
@@ -150,7 +145,7 @@ class BagStorage(BlockStorage):
         self.channels[number] = Channel(topic, name, "ros1", inner.get(b"message_definition", b""), "msg")
 
     def record_at(self, at: int) -> tuple[int | None, Block | None]:
-        fields, body, end = self._head(at)
+        fields, body, end = _record(self.read_at, at)
         if end > self.size:
             raise EOFError("its data extends beyond the end of the file")
         kind = fields[b"op"][0]
@@ -158,7 +153,7 @@ class BagStorage(BlockStorage):
             # The index records give the channels. The times are only in the chunk, or in the index entries.
             return end, Block(at, end - at, True, LATEST_NS, 0, None)
         if kind == _MESSAGE:
-            time_ns = _time_ns(fields, b"time")
+            time_ns = _time_ns(fields)
             return end, Block(at, end - at, False, time_ns, time_ns, frozenset({_u32(fields, b"conn")}))
         if kind == _CONNECTION:
             self._define(fields, self.read_at(body, end - body))
@@ -174,5 +169,5 @@ class BagStorage(BlockStorage):
         (head_size,) = _U32.unpack(self.read_at(at, _U32.size))
         if head_size > self.LONGEST_HEAD:
             return False
-        fields, _, end = self._head(at)
+        fields, _, end = _record(self.read_at, at)
         return fields[b"op"][0] in (_CHUNK, _MESSAGE, _CONNECTION) and end <= self.size

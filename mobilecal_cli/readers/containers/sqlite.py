@@ -15,7 +15,7 @@ import struct
 from array import array
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import ExitStack, closing, suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 from urllib.parse import quote
@@ -75,31 +75,26 @@ class SqliteStorage(Storage):
 
     container = "rosbag2 SQLite"
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._copies = ExitStack()
-        self._pages: LeafPages | None = None
-        try:
-            self._connection = self._connect(path)
-            self._read_topics()
-            self._check_size()
-        except BaseException:
-            self.close()
-            raise
+    _pages: LeafPages | None = None
+
+    def read(self) -> None:
+        self._connection = self._connect()
+        self._read_topics()
+        self._check_size()
         self._scan()
 
-    def _connect(self, path: Path) -> sqlite3.Connection:
-        log, options = path.with_name(f"{path.name}-wal"), "immutable=1"
+    def _connect(self) -> sqlite3.Connection:
+        log, options = self.path.with_name(f"{self.path.name}-wal"), "immutable=1"
         if log.is_file() and log.stat().st_size > 0:
-            self.opened = self._copies.enter_context(scratch_directory()) / path.name
+            self.opened = self.files.enter_context(scratch_directory()) / self.path.name
             with full_disk_told():
-                shutil.copyfile(path, self.opened)
+                shutil.copyfile(self.path, self.opened)
                 log = Path(shutil.copyfile(log, self.opened.with_name(log.name)))
             with closing(sqlite3.connect(self.opened)) as copy, suppress(sqlite3.Error):
                 copy.execute("PRAGMA journal_mode=DELETE")  # moves what the log contains into the file
             options = "mode=rw" if log.exists() else options
         connection = sqlite3.connect(f"file:{quote(str(self.opened.absolute()))}?{options}", uri=True)
-        self._copies.callback(connection.close)
+        self.files.callback(connection.close)
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, SIZE_LIMIT)
         connection.execute("PRAGMA trusted_schema=OFF")
         # Otherwise SQLite refuses a file that is shorter than its header states.
@@ -114,9 +109,6 @@ class SqliteStorage(Storage):
         whole = (65536 if page == 1 else page) * pages
         if change == counted_at and self.path == self.opened and whole > self.path.stat().st_size:
             self.note_share(whole)
-
-    def close(self) -> None:
-        self._copies.close()
 
     def _read_topics(self) -> None:
         tables = {
@@ -206,7 +198,7 @@ class SqliteStorage(Storage):
         return _Log(*(column[places] for column in log))
 
     def _leaf_pages(self) -> LeafPages:
-        return LeafPages(self._copies.enter_context(self.opened.open("rb")))
+        return LeafPages(self.files.enter_context(self.opened.open("rb")))
 
     def _data(self, row: int) -> bytes | None:
         """Data of a row, None if it is damaged; what SQLite does not find is on the table's pages."""

@@ -6,6 +6,7 @@ import bz2
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Collection, Iterator, Set
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, ClassVar, NamedTuple
@@ -77,6 +78,7 @@ class Storage(ABC):
         container: format of the file, for messages.
         path: the file, as given by the user or unpacked.
         opened: the file that is read: `path`, or a complete copy of it.
+        files: what is open until the end.
         channels: channel id → channel.
         counts: channel id → number of messages, stated in the file or counted.
         start_ns, end_ns: log time of the first and last message, None if unknown or empty.
@@ -94,6 +96,17 @@ class Storage(ABC):
         self.end_ns: int | None = None
         self.shift_ns = 0
         self.damage: dict[str, None] = {}
+        with ExitStack() as self.files:  # which closes them if they cannot be used
+            self.read()
+            self.files = self.files.pop_all()
+
+    @abstractmethod
+    def read(self) -> None:
+        """Open `files`, and find what they contain."""
+
+    def close(self) -> None:
+        """Close the files."""
+        self.files.close()
 
     @property
     def topic_names(self) -> Set[str]:
@@ -149,10 +162,6 @@ class Storage(ABC):
     @abstractmethod
     def delay(self, shift_ns: int) -> None:
         """Let all log times be later."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Close the file."""
 
     def compare_counts(self, topics: Collection[str], read: Counter[int]) -> None:
         """After a full pass, note topics with fewer messages than the file states."""

@@ -89,13 +89,7 @@ def _converted(message: Decoded, topic: str) -> CameraInfo:
 
 
 def _impossible(camera: Camera, R: FloatArray, P: FloatArray) -> str:
-    """A value that no camera has, with its name and range; "" if there is none.
-
-    Args:
-        camera: with the whole sensor.
-        R: (3, 3) rectification.
-        P: (3, 4) projection of the rectified images, or zeros.
-    """
+    """A value that no camera (of the whole sensor) has, with its name and range; "" for none. P may be zeros."""
     K = camera.K
     values = []
     for name, matrix in (("K", K), ("P", P)) if P.any() else (("K", K),):
@@ -136,7 +130,7 @@ def _impossible(camera: Camera, R: FloatArray, P: FloatArray) -> str:
 
 def _matrix(message: Decoded, name: str, shape: tuple[int, ...], topic: str) -> FloatArray:
     value = getattr(message, name, None)
-    if value is None:
+    if value is None:  # ROS 2
         value = getattr(message, name.lower())
     matrix = np.array(value, dtype=np.float64).reshape(shape)
     if not np.all(np.isfinite(matrix)):

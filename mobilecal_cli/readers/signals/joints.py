@@ -74,11 +74,10 @@ SAMPLED_BYTES = 2**28
 _STILL_SHARE = 0.01
 
 
-def most_stated(name: str, topics: Sequence[StatedJoint], wheel: bool = False) -> StatedJoint:
+def most_stated(topics: Sequence[StatedJoint], wheel: bool) -> StatedJoint:
     """A joint on the topic that says most of it: where it moves, else where it is not zero; with most readings.
 
     Args:
-        name: of the joint.
         topics: the joint on each topic.
         wheel: whether it is one, which may count from any zero.
 
@@ -94,7 +93,7 @@ def most_stated(name: str, topics: Sequence[StatedJoint], wheel: bool = False) -
     if other is not None:
         setting = "wheels.left.topic and wheels.right.topic" if wheel else "joints.topic"
         raise RecordingError(
-            f"joint {name} has different readings on {best.topic} and on {other.topic}",
+            f"joint {best.name} has different readings on {best.topic} and on {other.topic}",
             f"set {setting} in rig.yaml to the topic of this robot's driver",
         )
     return best
@@ -123,7 +122,7 @@ def choose_topics(
         kinds = (joints, velocities.get(name, []))
         moving = next((each for each in kinds if any(joint.range for joint in each)), joints)
         try:
-            best = most_stated(name, moving, name in wheels)
+            best = most_stated(moving, name in wheels)
         except RecordingError as error:
             problems[name] = error
             continue

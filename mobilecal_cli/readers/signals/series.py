@@ -138,13 +138,9 @@ _PUBLISHERS = "often joint_state_publisher beside the driver; `ros2 topic info -
 
 
 def _strays(value: FloatArray, log_ns: IntArray) -> IntArray:
-    """Indices of single readings that jump away from those before and after them, as no joint or wheel moves.
+    """Indices of single readings (n,), rad or m, that jump away from those beside them, as no joint or wheel moves.
 
     An angle that is wrapped to one turn may jump by a turn.
-
-    Args:
-        value: (n,) rad or m.
-        log_ns: (n,) log times.
     """
     if len(value) < 3:
         return np.zeros(0, dtype=np.int64)
@@ -429,20 +425,22 @@ def cut(series: Sequence[Samples]) -> tuple[list[tuple[Samples, ...]], list[str]
     Args:
         series: everything that is read, each with increasing log times.
     """
-    groups = _together(series, [steps_of(samples.stamp_ns, samples.log_ns) for samples in series])
-    series, with_log_ns = (series, {}) if groups else _with_log_times(series)
+    groups, size_ns = _together(series, [steps_of(s.stamp_ns, s.log_ns) for s in series]), 0
+    if not groups:
+        series, group, size_ns = _with_log_times(series)
+        groups = [group] if group else []
     first_ns = min((int(samples.log_ns[0]) for samples in series if len(samples)), default=0)
     starts = [[0] for _ in series]
     shifts = [[0] for _ in series]
     notes = []
-    for group in groups or [{k: index for k, (index, _) in with_log_ns.items()}] * bool(with_log_ns):
+    for group in groups:
         around_ns = np.array([series[k].log_ns[[index - 1, index]] for k, index in group.items()])
         at_ns = (int(around_ns[:, 0].max()) + int(around_ns[:, 1].min())) // 2
         begins = [
             group.get(k, int(np.searchsorted(samples.log_ns, at_ns))) for k, samples in enumerate(series)
         ]
         changes = [
-            with_log_ns[k][1] if k in with_log_ns else _change(samples, starts[k][-1], begins[k])
+            size_ns if size_ns and k in group else _change(samples, starts[k][-1], begins[k])
             for k, samples in enumerate(series)
         ]
         smallest_ns = min((abs(change) for k in group if (change := changes[k])), default=0)
@@ -488,33 +486,30 @@ def _ends_apart(series: Sequence[Samples]) -> tuple[int, list[int], list[int]]:
     return size_ns, order[split:].tolist(), order[:split].tolist()
 
 
-def _with_log_times(series: Sequence[Samples]) -> tuple[list[Samples], dict[int, tuple[int, int]]]:
+def _with_log_times(series: Sequence[Samples]) -> tuple[Sequence[Samples], dict[int, int], int]:
     """A step of the clock that gives the log times of some topics, too, so that the lags tell nothing.
 
     After a step forward, these topics have a pause that no other has, and end later than all others by as much. After
     one back, they end earlier, and two stretches of messages lie in one another.
 
-    Args:
-        series: everything that is read.
-
     Returns:
-        The series, without such stretches, and number of a series whose clock steps → index of its first message after
-        the step, and size of the step back, ns. Empty without a step.
+        The series, without such stretches; number of each whose clock steps → index of its first message after the
+        step; and size of the step back, ns. Without a step, these are empty and 0.
     """
     size_ns, late, early = _ends_apart(series)
     forward = {k: _pause(series[k].log_ns, size_ns) for k in late}
     if all(forward.values()) and not any(_pause(series[k].log_ns, size_ns) for k in early):
-        return list(series), {k: (index, -size_ns) for k, index in forward.items()}
+        return series, forward, -size_ns
     back = {k: _crowd(series[k].log_ns, size_ns) for k in early}
     if not all(last for _, last in back.values()):
-        return list(series), {}
+        return series, {}, 0
     begin_ns = min(int(series[k].log_ns[first]) for k, (first, _) in back.items())
     end_ns = max(int(series[k].log_ns[last - 1]) for k, (_, last) in back.items())
     left = []
     for k, samples in enumerate(series):
         span = back.get(k) or np.searchsorted(samples.log_ns, [begin_ns, end_ns + size_ns])
         left.append(samples.rows(np.delete(np.arange(len(samples)), slice(*span)), 0))
-    return left, {k: (first, size_ns) for k, (first, _) in back.items()}
+    return left, {k: first for k, (first, _) in back.items()}, size_ns
 
 
 def _pause(log_ns: IntArray, size_ns: int) -> int:
@@ -592,12 +587,7 @@ def _together(series: Sequence[Samples], steps: Sequence[IntArray]) -> list[dict
 
 
 def _change(samples: Samples, start: int, begin: int) -> int | None:
-    """Change of the lag at the begin of a piece, ns; None without messages on one side.
-
-    Args:
-        samples: of a series.
-        start, begin: first index of the piece before, and of the piece.
-    """
+    """Change of the lag from the piece from `start` on to that from `begin` on, ns; None if one has no messages."""
     lag = samples.log_ns - samples.stamp_ns
     before, after = lag[max(begin - _MEASURED, start) : begin], lag[begin : begin + _MEASURED]
     if not len(before) or not len(after):
@@ -608,9 +598,7 @@ def _change(samples: Samples, start: int, begin: int) -> int | None:
 def _sizes(changes: Sequence[int | None], same_ns: int) -> list[int | None]:
     """The step of each series, as that of all which step by the same amount: their stamps stay as they are together.
 
-    Args:
-        changes: from `_change`.
-        same_ns: a smaller one is no step, and two that differ by less are the same step.
+    A smaller one of the `changes` than `same_ns` is no step, and two that differ by less are the same step.
     """
     steps = [None if change is None else change * (abs(change) >= same_ns) for change in changes]
     known = [step for step in steps if step is not None]

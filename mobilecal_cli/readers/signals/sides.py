@@ -51,8 +51,7 @@ def _stands(size: FloatArray, differ: BoolArray, opposite: BoolArray) -> bool:
 
     Args:
         size: (2, W) absolute rotation of the wheel and of the other one.
-        differ: (W,) windows in which they differ.
-        opposite: (W,) windows in which the opposite side turns.
+        differ, opposite: (W,) windows in which they differ, and in which the opposite side turns.
     """
     own, other = size[:, differ]
     still = own <= _STILL_SHARE * other
@@ -102,7 +101,6 @@ def _kept(
     """Indices of the wheels that turn alike: more than half of those that do not stand still, or all of them.
 
     Args:
-        names: of the wheels, for messages.
         turned_rad: (W, K) rotation of the wheels in each window with motion.
         opposite: (W,) whether the opposite side turns too.
         notes: receives what is left out.

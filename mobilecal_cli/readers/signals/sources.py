@@ -108,8 +108,6 @@ class Source:
     @property
     def impossible_words(self) -> str:
         """Which readings are dropped, with the first of them, "" for none."""
-        if not self.impossible:
-            return ""
         many = (
             f"{self.impossible} of {self.impossible + len(self)}" if len(self) else f"all {self.impossible}"
         )

@@ -244,13 +244,8 @@ def without_jumps(label: str, track: Track, notes: list[str], known: BoolArray |
 def _jumps_of_a_turn(time_ns: IntArray, value: FloatArray, turn: float) -> int:
     """Number of jumps in positions that a driver wraps to one turn; 0 for other positions.
 
-    Positions are wrapped if they stay within one turn, and jump, but always by more than three quarters of it. Changes
-    over a pause tell nothing.
-
-    Args:
-        time_ns: (n,) increasing.
-        value: (n,) positions.
-        turn: one turn, in their unit.
+    Positions (n,) are wrapped if they stay within one `turn`, in their unit, and jump, but always by more than three
+    quarters of it. Changes over a pause tell nothing.
     """
     if np.ptp(value) > turn * (1 + _SLACK):
         return 0
@@ -385,13 +380,10 @@ class Odometry:
         )
 
     def _sideways(self, jumping: IntArray | slice = slice(0)) -> tuple[FloatArray, float, float]:
-        """Way sideways between consecutive poses, way ahead in all, and how far the base frame is ahead of the axle, m.
+        """Ways to the left, (n - 1,), way ahead in all, and how far the base frame is ahead of the axle, m.
 
         A base frame that is not midway between the wheels also moves sideways, but only where the base turns. Jumps
         count as no way, and so do pauses, in which the base may have driven any curve, and the steps `jumping`.
-
-        Returns:
-            (n - 1,) positive to the left, and two numbers.
         """
         *steps, jumps = self._steps
         unknown = jumps | pauses(self.time_ns)
