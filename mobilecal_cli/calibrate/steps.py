@@ -39,7 +39,6 @@ from mobilecal_cli.model import (
     Provenance,
     Solution,
 )
-from mobilecal_cli.model.text import verdict_lines
 from mobilecal_cli.ranges import HOLD_OUT
 from mobilecal_cli.report.comparison import change_from_nominal, change_since
 from mobilecal_cli.report.criteria import Case
@@ -301,9 +300,7 @@ class Report:
 
     def __str__(self) -> str:
         """The summary and the verdict, as `calibrate` prints them."""
-        verdict = self.verdict
-        lines = verdict_lines(verdict.level, verdict.reason, verdict.next_step)
-        return "\n".join((summary_text(self.values), *lines))
+        return "\n".join((summary_text(self.values), *self.verdict.lines))
 
     @property
     def json(self) -> str:

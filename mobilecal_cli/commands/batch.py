@@ -50,6 +50,7 @@ def batch(
     from mobilecal_cli.model.text import listed
     from mobilecal_cli.report.fleet import failed_text, fleet_json, fleet_text, robots_of
     from mobilecal_cli.report.junit import junit_fleet_xml
+    from mobilecal_cli.report.verdict import Verdict
     from mobilecal_cli.rig.config import parse_settings
 
     local = partial(in_processes, count=jobs or os.cpu_count() or 1)
@@ -88,9 +89,7 @@ def batch(
     if failed:
         reason = f"{len(failed)} of {len(robots)} robots did not pass: {listed(row.name for row in failed)}."
     options.conclude(
-        "FAIL" if failed else "PASS",
-        reason,
-        f"See {output / 'summary.html'}.",
+        Verdict("FAIL" if failed else "PASS", reason, f"See {output / 'summary.html'}."),
         written=(output / "summary.csv", output / "summary.html"),
         quiet=as_json or quiet,
         exit_code=worst.exit_code,  # a robot without a result has one of its own

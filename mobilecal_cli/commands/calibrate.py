@@ -111,11 +111,5 @@ def calibrate(
         typer.echo(summary_text(report.values, verbose))
     if open_report:
         typer.echo(open_page(output / "report.html"), err=True)
-    verdict = report.verdict
-    options.conclude(
-        verdict.level,
-        verdict.reason,
-        verdict.next_step,
-        written=(output / "params.yaml", output / "report.html"),
-        quiet=as_json or quiet,
-    )
+    written = output / "params.yaml", output / "report.html"
+    options.conclude(report.verdict, written=written, quiet=as_json or quiet)

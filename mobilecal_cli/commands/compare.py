@@ -41,6 +41,7 @@ def compare(
     from mobilecal_cli.comparison import broken_limits, difference, history
     from mobilecal_cli.export.outputs import check_output, write_outputs
     from mobilecal_cli.report.comparison import Comparison, comparison_json, comparison_text, history_plot
+    from mobilecal_cli.report.verdict import Verdict
 
     if len(files) < 2:
         raise ConfigError("only one calibration to compare", "give two or more params.yaml files")
@@ -60,9 +61,6 @@ def compare(
     comparison = Comparison(names, robots, differences, past if len(files) > 2 else None)
     typer.echo(comparison_json(comparison) if as_json else comparison_text(comparison), nl=False)
     if broken:
-        conclude(
-            "FAIL",
-            f"The calibrations differ by more than the limit: {'; '.join(broken)}.",
-            "Calibrate again to tell a changed robot from a bad recording.",
-            quiet=as_json,
-        )
+        reason = f"The calibrations differ by more than the limit: {'; '.join(broken)}."
+        again = "Calibrate again to tell a changed robot from a bad recording."
+        conclude(Verdict("FAIL", reason, again), quiet=as_json)

@@ -62,4 +62,4 @@ def evaluate(
         write_junit(junit_xml(str(logs[0]), result.verdict))
     text = evaluation_json(result) if as_json else evaluation_text(result)
     typer.echo(text, nl=False)
-    options.conclude(result.verdict.level, result.verdict.reason, result.verdict.next_step, quiet=as_json)
+    options.conclude(result.verdict, quiet=as_json)

@@ -30,6 +30,7 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, Quali
 
 if TYPE_CHECKING:
     from mobilecal_cli.report.inspection import Inspection
+    from mobilecal_cli.report.verdict import Verdict
     from mobilecal_cli.rig.config import RigConfig
 
 _COUNTS = re.compile("([0-9]{1,9})x([0-9]{1,9})", re.IGNORECASE)
@@ -163,9 +164,7 @@ def junit_file(
 
 
 def conclude(
-    level: str,
-    reason: str,
-    next_step: str,
+    verdict: Verdict,
     *,
     written: Sequence[Path] = (),
     quiet: bool = False,
@@ -174,7 +173,7 @@ def conclude(
     """Print the verdict on standard output.
 
     Args:
-        level, reason, next_step: see `Verdict`.
+        verdict: PASS or another one.
         written: the files written.
         quiet: print nothing on standard output (--quiet, --json), and a failure on standard error.
         exit_code: where the level is not PASS.
@@ -184,9 +183,9 @@ def conclude(
     """
     from mobilecal_cli.commands.terminal import verdict_text
 
-    passed = level == "PASS"
+    passed = verdict.level == "PASS"
     if not quiet or not passed:
-        typer.echo(verdict_text(level, reason, next_step, to_stderr=quiet), err=quiet)
+        typer.echo(verdict_text(verdict, to_stderr=quiet), err=quiet)
         if written:
             typer.echo(written_line(*written), err=quiet)
     if not passed:

@@ -11,19 +11,22 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.model.text import verdict_lines, visible
+from mobilecal_cli.model.text import visible
+
+if TYPE_CHECKING:
+    from mobilecal_cli.report.verdict import Verdict
 
 _BOLD = {"PASS": "\x1b[1;32m", "FAIL": "\x1b[1;31m", "NOT ENOUGH": "\x1b[1;33m"}  # green, red, yellow
 _BOLD["GATE FAILED"] = _BOLD["FAIL"]
 _PLAIN = "\x1b[0m"
 
 
-def verdict_text(level: str, reason: str, next_step: str, to_stderr: bool = False) -> str:
+def verdict_text(verdict: Verdict, to_stderr: bool = False) -> str:
     """The verdict as wrapped lines; the level is colored on a terminal, unless NO_COLOR is set."""
-    stream = sys.stderr if to_stderr else sys.stdout
-    lines = verdict_lines(level, reason, next_step)
+    stream, level, lines = sys.stderr if to_stderr else sys.stdout, verdict.level, verdict.lines
     if stream.isatty() and not os.environ.get("NO_COLOR"):
         lines[0] = f"{_BOLD[level]}{level}{_PLAIN}{lines[0][len(level) :]}"
     return "\n".join(lines)

@@ -56,8 +56,3 @@ def wrapped(text: str, start: str = "  ", indent: str = "") -> list[str]:
         _WIDTH, visible(start), indent, break_on_hyphens=False, break_long_words=False
     )
     return whole.wrap(visible(text))
-
-
-def verdict_lines(level: str, reason: str, next_step: str) -> list[str]:
-    """A verdict and the next step as lines for the terminal, escaped."""
-    return [line for text in (f"{level}: {reason}", f"Next: {next_step}") for line in wrapped(text, "")]

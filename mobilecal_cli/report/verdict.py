@@ -15,7 +15,7 @@ from typing import Literal
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.predict import off_as_stated
 from mobilecal_cli.model import NINE, AtWork, Evaluation, HeadChain, Solution
-from mobilecal_cli.model.text import capitalized
+from mobilecal_cli.model.text import capitalized, wrapped
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report.checks import EVALUATED
 from mobilecal_cli.report.criteria import CRITERIA, Case, Check, Metric
@@ -33,7 +33,13 @@ class Verdict:
     level: Level
     reason: str
     next_step: str
-    checks: tuple[Check, ...]
+    checks: tuple[Check, ...] = ()
+
+    @property
+    def lines(self) -> list[str]:
+        """Verdict and next step for the terminal, escaped."""
+        texts = f"{self.level}: {self.reason}", f"Next: {self.next_step}"
+        return [line for text in texts for line in wrapped(text, "")]
 
     @property
     def reasons(self) -> tuple[str, ...]:

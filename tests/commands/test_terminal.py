@@ -12,6 +12,7 @@ import pytest
 
 from mobilecal_cli.commands.terminal import open_page, verdict_text
 from mobilecal_cli.export.extraction import extraction_to_npz
+from mobilecal_cli.report.verdict import Verdict
 from tests.command import run
 from tests.report.example import make_extraction
 
@@ -27,15 +28,15 @@ def test_the_level_has_a_color_on_a_terminal_only(monkeypatch, level, color):
     plain = f"{level}: Because.\nNext: Go on."
     monkeypatch.setattr(sys, "stdout", io.StringIO())
     monkeypatch.setattr(sys, "stderr", Terminal())
-    assert verdict_text(level, "Because.", "Go on.") == plain
+    assert verdict_text(Verdict(level, "Because.", "Go on.")) == plain
     colored = f"\x1b[1;{color}m{level}\x1b[0m: Because.\nNext: Go on."
-    assert verdict_text(level, "Because.", "Go on.", to_stderr=True) == colored
+    assert verdict_text(Verdict(level, "Because.", "Go on."), to_stderr=True) == colored
     monkeypatch.setenv("NO_COLOR", "1")
-    assert verdict_text(level, "Because.", "Go on.", to_stderr=True) == plain
+    assert verdict_text(Verdict(level, "Because.", "Go on."), to_stderr=True) == plain
 
 
 def test_a_verdict_cannot_control_the_terminal():
-    assert "\x1b" not in verdict_text("FAIL", "joint \x1b[2J", "topic \x1b[2J")
+    assert "\x1b" not in verdict_text(Verdict("FAIL", "joint \x1b[2J", "topic \x1b[2J"))
 
 
 @pytest.mark.long

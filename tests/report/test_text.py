@@ -10,7 +10,6 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.model import EstimatedConstant, LogSource, Parameters, WheelGeometry
-from mobilecal_cli.model.text import verdict_lines
 from mobilecal_cli.report.comparison import Comparison, comparison_text
 from mobilecal_cli.report.evaluation import Evaluated, evaluation_text
 from mobilecal_cli.report.fleet import fleet_text
@@ -106,9 +105,8 @@ def test_what_is_noted_of_the_recording_is_on_the_terminal(extraction):
 
 def test_the_terminal_has_at_most_twenty_lines(extraction):
     solution = make_solution(extraction, "ml")
-    verdict = made(solution, extraction).verdict
-    end = verdict_lines(verdict.level, verdict.reason, verdict.next_step)
-    assert len(summary_text(made(solution, extraction)).splitlines()) + 1 + len(end) + 1 <= 20
+    report = made(solution, extraction)
+    assert len(summary_text(report).splitlines()) + 1 + len(report.verdict.lines) + 1 <= 20
 
 
 def test_the_table_cannot_steer_the_terminal(solution, extraction):
