@@ -38,7 +38,7 @@ def compare(
         plot: SVG file to write: every parameter over all calibrations.
     """
     from mobilecal_cli.calibrate.load import read_params
-    from mobilecal_cli.comparison import broken_limits, difference, history
+    from mobilecal_cli.comparison import broken_limits
     from mobilecal_cli.export.outputs import check_output, write_outputs
     from mobilecal_cli.report.comparison import Comparison, comparison_json, comparison_text, history_plot
     from mobilecal_cli.report.verdict import Verdict
@@ -47,18 +47,14 @@ def compare(
         raise ConfigError("only one calibration to compare", "give two or more params.yaml files")
     if plot is not None:
         check_output(plot, force, files)
-    names, robots = tuple(map(str, files)), tuple(map(read_params, files))
-    differences = tuple(difference(robots[0], robot) for robot in robots[1:])
-    past = history(robots)
-    if plot is not None:
-        labels = [robot.created or name for robot, name in zip(robots, names, strict=True)]
-        write_outputs({plot: history_plot(labels, past).encode()}, force)
-    broken = tuple(
+    comparison = Comparison(tuple(map(str, files)), tuple(map(read_params, files)))
+    broken = [
         f"{name}: {what}"
-        for name, change in zip(names[1:], differences, strict=True)
+        for name, change in zip(comparison.names[1:], comparison.differences, strict=True)
         for what in broken_limits(change, max_sigma, max_ray_mm, max_heading_deg)
-    )
-    comparison = Comparison(names, robots, differences, past if len(files) > 2 else None)
+    ]
+    if plot is not None:
+        write_outputs({plot: history_plot(comparison).encode()}, force)
     typer.echo(comparison_json(comparison) if as_json else comparison_text(comparison), nl=False)
     if broken:
         reason = f"The calibrations differ by more than the limit: {'; '.join(broken)}."

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from mobilecal_cli.comparison import UNLIKELY, Difference, History, difference, nine_apart
+from mobilecal_cli.comparison import UNLIKELY, Difference, History, difference, history, nine_apart
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
@@ -78,21 +78,22 @@ def change_from_nominal(robot: CalibratedRobot, nominal: Nominal) -> Change | No
     return Change("the nominal values", value, _UNKNOWN, percent, None)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Comparison:
-    """Several calibrations and their differences.
-
-    Attributes:
-        names: file names.
-        robots: the calibrations.
-        differences: change from the first to each other one.
-        past: test of each parameter over all calibrations; None for two files.
-    """
+    """Several calibrations by the names of their files, two or more."""
 
     names: tuple[str, ...]
     robots: tuple[CalibratedRobot, ...]
-    differences: tuple[Difference, ...]
-    past: History | None
+
+    @cached_property
+    def differences(self) -> tuple[Difference, ...]:
+        """Change from the first to each other one."""
+        return tuple(difference(self.robots[0], robot) for robot in self.robots[1:])
+
+    @cached_property
+    def past(self) -> History:
+        """Change of all from the first, with a test of each parameter."""
+        return history(self.robots)
 
 
 def comparison_text(comparison: Comparison) -> str:
@@ -120,7 +121,7 @@ def comparison_text(comparison: Comparison) -> str:
         heads = ("", "number:change", "number:1 sigma", "number:in sigma", "")
         lines += ["", f"Change from {first} to {other}", "", *Table.of(heads, rows).lines()]
         lines.append("  r is a small rotation about the head's axes.")
-    if comparison.past is not None:
+    if len(others) > 1:
         count = len(comparison.names)
         lines += ["", f"All {count} calibrations, tested against a robot that does not change", ""]
         chances = zip(NINE, map(constancy, comparison.past.chance), strict=True)
@@ -152,7 +153,7 @@ def comparison_json(comparison: Comparison) -> str:
             }
             for each in comparison.differences
         ],
-        "chance_unchanged": comparison.past and comparison.past.chance,
+        "chance_unchanged": comparison.past.chance if len(comparison.robots) > 2 else None,
     }
     return json_text(data, sort_keys=False)
 
@@ -205,12 +206,14 @@ def constancy(chance: float) -> str:
     return f"{said} (probability by chance {percent_text(chance)})"
 
 
-def history_plot(labels: Sequence[str], past: History) -> str:
+def history_plot(comparison: Comparison) -> str:
     """An SVG file: change of each parameter since the first calibration, with bars of 2 sigma.
 
-    The labels of the calibrations are, for example, dates; the plot numbers them from 1.
+    The plot numbers the calibrations from 1, and has their dates, or the names of those without one.
     """
     title = "change of each parameter since the first calibration, with bars of 2 sigma"
+    past, named = comparison.past, zip(comparison.robots, comparison.names, strict=True)
+    labels = [robot.created or name for robot, name in named]
     shown = [f"{n}: {visible(label)}" for n, label in enumerate(labels[:_MOST_LABELS], 1)]
     if len(labels) > len(shown):
         shown.append(f"and {len(labels) - len(shown)} more")

@@ -23,7 +23,6 @@ from mobilecal_cli.calibrate import inspect
 from mobilecal_cli.calibrate.batch import fleet_jobs
 from mobilecal_cli.calibrate.gaps import require_stations
 from mobilecal_cli.calibrate.load import load
-from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.export.formats.urdf import patched_urdf
@@ -98,8 +97,7 @@ def _rig(path: Path) -> None:
 
 def _params(path: Path) -> None:
     robot = parameters_from_yaml(path.read_text(encoding="utf-8", errors="replace"), str(path))
-    both = (robot, robot)
-    comparison_text(Comparison(("a", "b"), both, (difference(*both),), history(both)))
+    comparison_text(Comparison(("a", "b", "c"), (robot, robot, robot)))
     for made in HEAD_EYE:
         text_of(made, robot)
     text_of("ros2_control", robot, wheel_joints=robot.wheel_joints)
