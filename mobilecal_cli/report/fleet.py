@@ -220,7 +220,5 @@ def skipped_text(rows: Sequence[FleetRow]) -> str:
     for row in rows:
         if row.skipped:
             names.setdefault(row.skipped, []).append(row.name)
-    parts = []
-    for reason, entries in names.items():
-        parts.append(f"{reason}: {len(entries)} ({visible(listed(entries, _NAMED))})")
+    parts = [f"{reason}: {len(each)} ({visible(listed(each, _NAMED))})" for reason, each in names.items()]
     return f"Skipped, {'; '.join(parts)}." if parts else ""

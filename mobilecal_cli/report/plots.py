@@ -336,7 +336,8 @@ def error_budget(solution: Solution, _: Extraction) -> Iterator[Drawn]:
         return
     labels = {name: name for name in NINE}
     labels |= {figure.field: figure.short for figure in FIGURES if figure.limit is not None}
-    shares = {name: {f: s for s, f in family_shares(shares_of(solution, name))} for name in labels}
+    budget = solution.uncertainty.budget
+    shares = {name: {f: s for s, f in family_shares(shares_of(budget, name))} for name in labels}
     used = [f for f in FAMILIES if max(of.get(f, 0.0) for of in shares.values()) > _LEAST_SHARE]
     canvas = Canvas(WIDE, 60.0 + 24.0 * len(labels), "error budget: what each variance consists of")
     canvas.legend([(f"fill {FAMILIES[family].style}", family) for family in used], 8.0, 14.0)

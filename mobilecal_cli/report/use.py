@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from mobilecal_cli.likelihood.constants import FREE, family, kind_of
-from mobilecal_cli.model import NINE, AtWork, Extraction, Solution
+from mobilecal_cli.model import NINE, AtWork, Budget, Extraction, Solution
 from mobilecal_cli.ranges import ACCURACY, accuracy
 from mobilecal_cli.report.numbers import DEG, std_text
 
@@ -94,7 +94,7 @@ def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Error, ...]:
     separation_m = solution.parameters.wheels.separation_m
     pairs = [(figure, limits.get(figure.name, accuracy(figure.name, separation_m))) for figure in FIGURES]
     return tuple(
-        Error(f, f.of(uncertainty.at_work), limit, shares_of(solution, f.field))
+        Error(f, f.of(uncertainty.at_work), limit, shares_of(uncertainty.budget, f.field))
         for f, limit in pairs
         if limit is not None
     )
@@ -193,13 +193,10 @@ def worst_error(solution: Solution, limits: Mapping[str, float]) -> Error | None
 _NOT_NOISE = frozenset({"nominal values", "recordings", "other"})
 
 
-def shares_of(solution: Solution, name: str) -> Sequence[tuple[float, str]]:
+def shares_of(budget: Budget, name: str) -> Sequence[tuple[float, str]]:
     """(share, source) of a parameter, or of an expected error (field of `AtWork`), largest first; empty if unknown."""
-    uncertainty = solution.uncertainty
-    if uncertainty is None:
-        return []
-    columns = {**dict(zip(NINE, uncertainty.budget.nine.T, strict=True)), **uncertainty.budget.at_work}
-    pairs = zip(columns[name].tolist(), uncertainty.budget.sources, strict=True) if name in columns else ()
+    columns = {**dict(zip(NINE, budget.nine.T, strict=True)), **budget.at_work}
+    pairs = zip(columns[name].tolist(), budget.sources, strict=True) if name in columns else ()
     return sorted(((share, source) for share, source in pairs if share > 0), reverse=True)
 
 

@@ -208,7 +208,7 @@ def _gate_cure(case: Case, name: str, limit: float) -> str:
     if name not in names:
         return ""
     k = names.index(name)
-    shares = shares_of(case.solution, PARAMETERS[k].name)
+    shares = shares_of(uncertainty.budget, PARAMETERS[k].name)
     label, unit = f"sigma of the {PARAMETERS[k].label}", PARAMETERS[k].unit
     value = float(reference_std(case.solution)[k] or 0.0)
     error = Error(Figure("", name, label, label, unit, 1.0), value, limit, shares)

@@ -126,7 +126,7 @@ def test_the_words_know_every_source():
     assert set(STATED) == {kind.name for kind in KINDS}
     assert [name for name, words in STATED.items() if not (words.value and words.cure)] == []
     for name in (*NINE, *solution.uncertainty.budget.at_work):
-        shares = family_shares(shares_of(solution, name))
+        shares = family_shares(shares_of(solution.uncertainty.budget, name))
         assert sum(share for share, _ in shares) == pytest.approx(1.0, abs=1e-6)
 
 
