@@ -47,7 +47,7 @@ class Urdf:
     Attributes:
         name: the robot's name.
         joints: joint name → joint, in the file's order.
-        cylinder_radius_m: link name → radius of its cylinder (collision before visual), if it has one.
+        cylinder_radius_m: link name → radius of its largest cylinder (collision before visual), if it has one.
     """
 
     name: str
@@ -154,7 +154,7 @@ def _joint(element: Element) -> UrdfJoint:
         link = named.get("link") if named is not None else None
         if not link:
             raise ConfigError(f"URDF: {where}: no <{end} link=...>", "correct the URDF")
-        ends[end] = link
+        ends[end] = link.lstrip("/")  # which tf ignores
     rpy, xyz = (_numbers(element, "origin", key, "0 0 0", f"{where}, origin {key}") for key in ("rpy", "xyz"))
     axis = _numbers(element, "axis", "xyz", _AXIS_DEFAULT, f"{where}, axis")
     kind, length = element.get("type", ""), math.hypot(*axis)
@@ -196,13 +196,17 @@ def parse_urdf(text: str) -> Urdf:
     twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice:
         raise ConfigError(f"URDF: two joints have the name {twice[0]!r}", "correct the URDF")
-    radii = {}
+    radii: dict[str, float] = {}
     for link in root.findall("link"):
+        name = link.get("name", "").lstrip("/")
         for kind in ("collision", "visual"):
-            place, name = f"{kind}/geometry/cylinder", link.get("name", "")
-            if link.find(place) is not None and name not in radii:
-                radius = _numbers(link, place, "radius", "", f"link {name!r}, cylinder radius", 1)
-                radii[name] = float(radius[0])
+            drawn = [
+                float(_numbers(shape, "cylinder", "radius", "", f"link {name!r}, cylinder radius", 1)[0])
+                for shape in link.findall(f"{kind}/geometry")
+                if shape.find("cylinder") is not None
+            ]
+            if drawn and name not in radii:
+                radii[name] = max(drawn)  # a smaller one is the hub
     return Urdf(root.get("name", ""), {joint.name: joint for joint in joints}, radii)
 
 

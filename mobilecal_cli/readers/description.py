@@ -25,7 +25,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent
-from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath
+from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath, frame_of
 from mobilecal_cli.readers.messages.types import Decoded, leaves_of
 from mobilecal_cli.readers.signals.camera_infos import camera_info
 from mobilecal_cli.readers.signals.joints import SAMPLED_BYTES, transforms_of
@@ -66,14 +66,14 @@ def read_description(recording: Recording) -> RobotDescription:
     semantic = {topic for topic, text in texts.items() if "<robot" in text and "<link" not in text}
     urdfs = {topic: text for topic, text in texts.items() if text.strip() and topic not in semantic}
     infos, unusable = _infos(recording, names[CAMERA_INFO])
-    image_frames = _first(recording, images, lambda message: str(message.header.frame_id))
+    image_frames = _first(recording, images, lambda message: frame_of(message.header))
     joints = _read(
         recording, names[JOINT_STATE], JOINT_MESSAGES, lambda message: list(map(str, message.name))
     )
     frames = _first(
         recording,
         names[ODOMETRY],
-        lambda message: (str(message.header.frame_id), str(message.child_frame_id)),
+        lambda message: (frame_of(message.header), str(message.child_frame_id).lstrip("/")),
     )
     static = [topic for topic in names[TRANSFORMS] if topic.endswith("static")]
     if urdfs:  # they may lack frames that do not move

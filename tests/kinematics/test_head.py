@@ -54,7 +54,8 @@ def test_jacobian_against_differences(seed):
 URDF = """<?xml version="1.0"?>
 <robot name="r">
   <link name="base_link"/><link name="head"/>
-  <link name="wheel_l"><collision><geometry><cylinder radius="0.21" length="0.05"/></geometry></collision></link>
+  <link name="wheel_l"><collision><geometry><cylinder radius="0.19" length="0.07"/></geometry></collision>
+    <collision><geometry><cylinder radius="0.21" length="0.05"/></geometry></collision></link>
   <joint name="wl" type="continuous"><parent link="base_link"/><child link="wheel_l"/>
     <origin xyz="-0.1 0.3 0"/><axis xyz="0 1 0"/></joint>
   <joint name="wr" type="continuous"><parent link="base_link"/><child link="wheel_r"/>
@@ -73,7 +74,9 @@ def test_urdf_chain_and_what_it_lacks():
     assert T[:3, 3] == pytest.approx([0, 0, 1])
     assert T[:3, 0] == pytest.approx([0, 1, 0], abs=1e-12)
     assert urdf.root == "base_link"
-    assert urdf.cylinder_radius_m == {"wheel_l": 0.21}
+    assert urdf.cylinder_radius_m == {"wheel_l": 0.21}  # the tire, not the hub
+    slashed = parse_urdf(URDF.replace('link="', 'link="/').replace('<link name="', '<link name="/'))
+    assert (slashed.links, slashed.cylinder_radius_m) == (urdf.links, urdf.cylinder_radius_m)
     with pytest.raises(ConfigError) as caught:
         parse_urdf(URDF).path("base_link", "camera")
     assert "'camera'" in caught.value.message

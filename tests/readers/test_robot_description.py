@@ -30,6 +30,14 @@ def test_binning_and_region_as_image_geometry(store):
     assert (found.width, found.height, found.frame_id) == (640, 480, "left_optical")
 
 
+@STORES
+def test_a_frame_may_have_a_slash_at_its_front(store):
+    """As in tf before tf2, whose transforms were read without it."""
+    message = r.info(K)(store)
+    message.header.frame_id = "/left_optical"
+    assert camera_info(message, "/info").frame_id == "left_optical"
+
+
 @pytest.mark.parametrize(
     ("name", "D", "model", "count"),
     [

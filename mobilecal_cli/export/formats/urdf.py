@@ -440,7 +440,7 @@ def _places(content: bytes) -> _Places:
         whole = _START_TAG.match(content, parser.CurrentByteIndex)
         assert whole is not None  # the file is well-formed
         elements = [element for element, _ in stack[:_DEEPEST]] + [name]
-        own = attributes.get("name", "")
+        own = attributes.get("name", "").lstrip("/" if name == "link" else "")
         place = None
         if elements in (["robot", "joint"], ["robot", "link"]):
             place = (name, own, "")

@@ -234,6 +234,11 @@ def stamp_of(message: Decoded, log_ns: int) -> int:
     return header_stamp_ns(message) or log_ns
 
 
+def frame_of(header: Decoded) -> str:
+    """Frame of a header, without the slash at its front that tf ignores."""
+    return str(header.frame_id).lstrip("/")
+
+
 #: Formats as stated in messages → name of the codec.
 CODECS = {"h264": "h264", "h.264": "h264", "avc": "h264", "h265": "hevc", "h.265": "hevc", "hevc": "hevc"}
 

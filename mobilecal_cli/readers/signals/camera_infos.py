@@ -11,7 +11,7 @@ from mobilecal_cli.camera import project
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CAMERA_INFO_CHANGES, Camera, CameraInfo, Distortion, FloatArray, IntArray
 from mobilecal_cli.ranges import FOCAL_LENGTH, Range
-from mobilecal_cli.readers.messages import NOT_ITS_TYPE, Channel
+from mobilecal_cli.readers.messages import NOT_ITS_TYPE, Channel, frame_of
 from mobilecal_cli.readers.messages.types import Decoded, Payload
 
 #: Coefficient counts of OpenCV's models, in OpenCV's order.
@@ -74,7 +74,7 @@ def _converted(message: Decoded, topic: str) -> CameraInfo:
     if not R.any():  # omitted by some drivers, meaning no rotation
         R = np.eye(3)
     distortion, D = _distortion(message, topic)
-    frame_id, size = str(message.header.frame_id), (int(message.width), int(message.height))
+    frame_id, size = frame_of(message.header), (int(message.width), int(message.height))
     problem = _impossible(Camera(frame_id, *size, K, D, distortion), R, P)
     if problem:
         raise RecordingError(f"{topic}: {problem}", _ADVICE)

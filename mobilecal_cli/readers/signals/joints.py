@@ -12,7 +12,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JOINT_STATE, FloatArray, JointTransform, Track, listed
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent
-from mobilecal_cli.readers.messages import NOT_ITS_TYPE, stamp_of
+from mobilecal_cli.readers.messages import NOT_ITS_TYPE, frame_of, stamp_of
 from mobilecal_cli.readers.messages.types import Decoded
 from mobilecal_cli.readers.signals.series import Samples
 from mobilecal_cli.readers.signals.sources import Source, Subscriptions
@@ -159,7 +159,7 @@ class TransformJoint(Source):
 
     def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         for item in message.transforms:
-            ends = (item.header.frame_id.lstrip("/"), item.child_frame_id.lstrip("/"))
+            ends = (frame_of(item.header), item.child_frame_id.lstrip("/"))
             if ends != (self._source.parent, self._source.child):
                 if len(self._present) < _MOST_OTHERS:
                     self._present[" to ".join(ends)] = None
@@ -207,7 +207,7 @@ def transforms_of(messages: Iterable[Decoded]) -> dict[tuple[str, str], FloatArr
             continue
         for item in items:
             try:
-                ends = (str(item.header.frame_id).lstrip("/"), str(item.child_frame_id).lstrip("/"))
+                ends = (frame_of(item.header), str(item.child_frame_id).lstrip("/"))
                 T = _matrix(item.transform)
             except NOT_ITS_TYPE:
                 continue
