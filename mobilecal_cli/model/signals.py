@@ -87,6 +87,7 @@ class NumberField:
         bits: width of its type, None if unknown.
         wraps: number of bits at which it was seen to start again; None if it was not.
         jump: size of the jumps where it starts again, if they fit no number of bits.
+        still: whether it never changes, as a constant or a setting.
     """
 
     topic: str
@@ -95,6 +96,7 @@ class NumberField:
     bits: int | None = None
     wraps: int | None = None
     jump: int | None = None
+    still: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -225,5 +225,6 @@ def _of_topic(
         # Other numbers do not start again, and neither do larger ones, which JSON may contain.
         whole = all(isinstance(value, int) and abs(value) < 2**64 for value in values)
         starts_again = wraps(np.array(values, dtype=np.float64)) if whole else (None, None)
-        fields.append(NumberField(topic, name, isinstance(values[0], int), bits, *starts_again))
+        still = len(values) > 1 and len({*values}) == 1
+        fields.append(NumberField(topic, name, isinstance(values[0], int), bits, *starts_again, still))
     return tuple(fields)

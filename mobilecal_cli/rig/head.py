@@ -36,6 +36,7 @@ from mobilecal_cli.rig.names import (
     TILT_WORDS,
     is_wheel,
     joint_state_names,
+    may_carry_camera,
     require_topic,
     words,
 )
@@ -105,6 +106,7 @@ def head_of(
     if urdf_text is None and not description.urdfs:
         origin = "transforms in the recording"
         urdf = _moving_transforms(description, camera_frame)
+        read = {*urdf.joints}  # each that moves is seen to move
         notes.append(
             "The recording contains no URDF. The head's joints are derived from the motion of its transforms; "
             "joint angles are zero at the first transform."
@@ -146,6 +148,11 @@ def head_of(
     wheel_joints = urdf_wheels(urdf, wheels)
     wheels = as_drawn(wheels, wheel_joints, config, urdf, base)
     offset, offset_notes = _vehicle_offset(urdf, wheel_joints, wheels, base, description)
+    if head == base and camera_frame not in urdf.links and config.head.head_frame is None:
+        notes.append(
+            f"The camera's frame {camera_frame!r} is not in the URDF, in which only wheels move. The camera is taken "
+            f"as fixed to {base}."
+        )
     chain = HeadChain(base, head, (*offset, *chain_links(urdf, base, head)))
     _check_configured(config, chain)
     notes += [
@@ -212,7 +219,8 @@ def _head_link_of(
 
     Joints behind the tilt joint count only if they are read: a bracket may be set by hand. If no joint moves the
     camera, it is fixed to the base, which is the head then. A camera that is not in the URDF is on the child of the
-    tilt joint, or of a pan joint that carries no other moving joint. Head_link stands for the link that carries it.
+    tilt joint, or of a pan joint that carries no other moving joint, or on the base if nothing but wheels moves.
+    Head_link stands for the link that carries it.
 
     Args:
         read: joints whose positions are read.
@@ -242,6 +250,9 @@ def _head_link_of(
         roots = {urdf.carrier(joint.parent)[0] for joint in urdf.joints.values() if joint.kind != "fixed"}
         if head not in roots:
             return head
+    moving = (joint.name for joint in urdf.joints.values() if joint.kind != "fixed")
+    if not any(map(may_carry_camera, (*moving, *read))):
+        return base
     if tilt not in urdf.joints:
         camera = f"the camera's frame {camera_frame!r} is not in it, and " if camera_frame else ""
         raise ConfigError(
@@ -410,10 +421,16 @@ def _check_configured(config: RigConfig, chain: HeadChain) -> None:
 
 
 def outside_chain(chain: HeadChain, description: RobotDescription) -> list[str]:
-    """Joints in the joint states that are named pan or tilt, where the chain has no joint of this name."""
+    """Joints in the joint states that are named pan or tilt, where the chain has no joint of this name.
+
+    Of a chain whose joints are named otherwise than all these, as one of transforms, nothing can be said.
+    """
+    stated = joint_state_names(description)
+    if chain.joints and not {*chain.joints} & {*stated}:
+        return []
     of_chain = {word for joint in chain.joints for word in words(joint)}
     missing = [word for word in ("pan", "tilt") if word not in of_chain]
-    return [name for word in missing for name in joint_state_names(description) if word in words(name)]
+    return [name for word in missing for name in stated if word in words(name)]
 
 
 def _frame_prefix(urdf: Urdf, static: Iterable[tuple[str, str]]) -> str:

@@ -141,14 +141,15 @@ _CORNERS: dict[str, tuple[Side, str]] = {
     for word in (f"{place}{side[0]}", f"{side[0]}{place}")
 }
 #: Wheels that no motor drives, and joints that are no wheels.
-_NOT_DRIVEN = {
-    "caster", "castor", "casters", "castors", "passive", "swivel", "idler", "arm", "gripper", "finger", "steer",
+_NOT_DRIVEN = CASTER_WORDS | {
+    "passive", "swivel", "idler", "arm", "gripper", "finger", "steer",
     "steering", "suspension", "rocker", "bogie", "flywheel", "drop",
 }  # fmt: skip
 
 
 def _wheel_words(name: str) -> list[str]:
     """`words`, also of names that are written together or short: "/lwhl_ticks" → ["l", "wheel", "ticks"]."""
+CASTER_WORDS = {"caster", "castor", "casters", "castors"}
     return [part for word in words(name) for part in re.sub("wheels?|whls?", " wheel ", word).split()]
 
 
@@ -166,6 +167,11 @@ def wheel_place(name: str) -> tuple[tuple[str, ...], Side, tuple[str, ...]] | No
         if word in _CORNERS:
             side, corner = _CORNERS[word]
             sides.add(side)
+def may_carry_camera(joint: str) -> bool:
+    """Whether a joint is not named as one of a wheel, driven or not."""
+    return "wheel" not in "".join(_wheel_words(joint)) and not CASTER_WORDS & {*words(joint)}
+
+
             place.append(corner)
         elif word in _SIDES:
             sides.add(_SIDES[word])
@@ -193,9 +199,12 @@ Counters = dict[Side, tuple[NumberField, ...]]
 def counters(fields: Iterable[NumberField]) -> list[Counters]:
     """Sets of whole numbers, or of other numbers, that are named as counters of the left and the right wheels.
 
-    Fields named as counters are preferred to those that are only named as something of a wheel.
+    Fields named as counters are preferred to those that are only named as something of a wheel; those that never
+    change count only where all are so.
     """
-    by_name = {f"{field.topic} {field.path}": field for field in fields}
+    fields = [*fields]
+    changing = [field for field in fields if not field.still] or fields
+    by_name = {f"{field.topic} {field.path}": field for field in changing}
     for wanted in (COUNTER_WORDS, _WHEEL_WORDS):
         named = [
             name for name in by_name if wanted & {*_wheel_words(name)} and not _NOT_DRIVEN & {*words(name)}

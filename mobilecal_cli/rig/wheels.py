@@ -25,6 +25,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.rig.config import RigConfig, WheelConfig
 from mobilecal_cli.rig.names import (
+    CASTER_WORDS,
     COUNTER_WORDS,
     Counters,
     counters,
@@ -47,6 +48,8 @@ KNOWN_COUNTERS: dict[str, tuple[float, Literal[16] | None]] = {
     "turtlebot3_msgs/msg/SensorState": (4096.0, None),
     "kobuki_msgs/msg/SensorState": (2578.33, 16),
     "kobuki_ros_interfaces/msg/SensorState": (2578.33, 16),
+    "irobot_create_msgs/msg/WheelTicks": (508.8, None),
+    "duckietown_msgs/msg/WheelEncoderStamped": (135.0, None),
 }
 _SERVED = (
     "mobilecal serves robots with differential drive or skid steering that record wheel joints "
@@ -62,11 +65,13 @@ _NOT_WHEELS = {
     "rf2o", "mavros", "gps", "gnss", "utm", "truth", "gt", "ground", "groundtruth", "mocap", "vicon",
     "optitrack", "optical",
 }  # fmt: skip
-_OF_WHEELS = {"wheel", "encoder", "encoders", "diff", "drive", "controller", "raw"}
+_OF_WHEELS = {
+    "wheel", "wheels", "encoder", "encoders", "enc", "diff", "drive", "controller", "raw", "unfiltered",
+}  # fmt: skip
 #: Relative difference of radii up to which wheels may be of one set.
 _ALIKE = 0.05
 #: Words of joints that steer wheels, except those of casters.
-_STEERING, _CASTERS = {"steer", "steering"}, {"caster", "castor", "casters", "castors"}
+_STEERING = {"steer", "steering"}
 #: Drives that are no differential drive, by the words of their topics, types and joints.
 _OTHER_DRIVES = {
     "ackermann": "Ackermann",
@@ -153,7 +158,11 @@ def _wheels_by_name(config: RigConfig, description: RobotDescription) -> dict[Si
     if sets:
         return {side: wheel.model_copy(update={"joints": sets[0][side]}) for side, wheel in wheels.items()}
     counted = counters(description.numbers)
-    return _with_counters(wheels, description, counted) if counted else {}
+    whole = any(number.integer for by_side in counted for number in by_side["left"])
+    # Other numbers are in an unknown unit: odometry says more.
+    if not counted or not (whole or ODOMETRY not in {topic.type for topic in description.topics}):
+        return {}
+    return _with_counters(wheels, description, counted)
 
 
 def _refuse_other_drives(description: RobotDescription) -> None:
@@ -163,7 +172,7 @@ def _refuse_other_drives(description: RobotDescription) -> None:
         RecordingError: naming the joints or the drive.
     """
     names = joint_state_names(description)
-    joints = [name for name in names if _STEERING & {*words(name)} and not _CASTERS & {*words(name)}]
+    joints = [name for name in names if _STEERING & {*words(name)} and not CASTER_WORDS & {*words(name)}]
     names += [name for topic in description.topics for name in (topic.name, topic.type)]
     present = {word for name in names for word in words(name)}
     drive = next((drive for word, drive in _OTHER_DRIVES.items() if word in present), "")

@@ -50,6 +50,13 @@ def test_numbers_of_the_sample(sample_logs):
         assert not any("header" in field.path for field in stamps)
 
 
+def test_numbers_that_never_change(tmp_path):
+    messages = [("/t", r.START_NS + k, "mine", {"data": k, "resolution": 135}) for k in range(3)]
+    with open_recording([r.write_json(tmp_path / "log.mcap", messages)]) as recording:
+        found = number_fields(recording, ["/t"], lambda topic, path: True)
+    assert {field.path: field.still for field in found} == {"data": False, "resolution": True}
+
+
 def test_a_number_beyond_the_range_of_floats(tmp_path):
     path = r.write_json(tmp_path / "log.mcap", [("/t", r.START_NS, "mine", {"count": 10**400})])
     with open_recording([path]) as recording:

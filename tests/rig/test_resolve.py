@@ -20,7 +20,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.rig.cameras import camera_rig, image_topics
 from mobilecal_cli.rig.config import RigConfig, checked_settings, load_rig
 from mobilecal_cli.rig.draft import draft_rig
-from mobilecal_cli.rig.head import fixed_pose, urdf_of_transforms
+from mobilecal_cli.rig.head import fixed_pose, outside_chain, urdf_of_transforms
 from mobilecal_cli.rig.names import pairs, side_of, words
 from mobilecal_cli.rig.resolve import complete_rig, survey_rig
 from mobilecal_cli.rig.settings import wheel_settings
@@ -570,6 +570,7 @@ def test_odometry_with_and_without_the_wheels_that_it_was_made_with():
         (("/odom", "/odometry/filtered"), {}, "/odom"),
         (("/husky_base/odom", "/odometry/filtered", "/zed/odom"), {}, "/husky_base/odom"),
         (("/odom", "/wheel_odom"), {}, "/wheel_odom"),
+        (("/odom", "/odom/unfiltered"), {}, "/odom/unfiltered"),
         (("/odom", "/t265"), {"/t265": ("odom", "camera_pose_frame")}, "/odom"),
         (("/odom", "/where"), {"/where": ("map", "base_link")}, "/odom"),
     ],
@@ -698,7 +699,12 @@ def test_counters_are_found_and_their_resolution_is_asked_for():
 
 @pytest.mark.parametrize(
     ("kind", "ticks", "bits"),
-    [("turtlebot3_msgs/msg/SensorState", 4096, None), ("kobuki_msgs/msg/SensorState", 2578.33, 16)],
+    [
+        ("turtlebot3_msgs/msg/SensorState", 4096, None),
+        ("kobuki_msgs/msg/SensorState", 2578.33, 16),
+        ("irobot_create_msgs/msg/WheelTicks", 508.8, None),
+        ("duckietown_msgs/msg/WheelEncoderStamped", 135, None),
+    ],
 )
 def test_counters_of_known_drivers(kind, ticks, bits):
     rig = resolve_rig(RigConfig(), counted("left_encoder", "right_encoder", kind=kind))[0]
@@ -711,6 +717,40 @@ def test_both_cameras_in_one_topic():
     assert rig.sources.image == {"left": "/stereo/image_raw", "right": "/stereo/image_raw"}
     assert rig.sources.info == {"left": "/stereo/left/camera_info", "right": "/stereo/right/camera_info"}
     assert rig.sources.layout == "stacked"
+def test_numbers_that_never_change_are_no_counters():
+    """The resolution of an encoder, and the constants of its message."""
+    log = counted("left.ticks", "right.ticks", "left.encoder_type", "right.encoder_type")
+    numbers = (replace(number, still="type" in number.path) for number in log.numbers)
+    stated = {side: {"ticks_per_revolution": 1000} for side in ("left", "right")}
+    sources = resolve_rig(config(wheels=stated), replace(log, numbers=tuple(numbers)))[0].sources.wheels
+    assert sources["left"].field == "left.ticks"
+
+
+def test_odometry_says_more_than_numbers_in_an_unknown_unit():
+    """A refusal asked for the steps per turn of a displacement in meters."""
+    log = counted("left_wheel_displacement", "right_wheel_displacement")
+    log = replace(log, numbers=tuple(replace(number, integer=False) for number in log.numbers))
+    with pytest.raises(RecordingError, match="in an unknown unit"):
+        resolve_rig(RigConfig(), log)
+    log = replace(log, topics=(*log.topics, *odometry("/odom")))
+    assert resolve_rig(RigConfig(), log)[0].sources.wheels["left"].topic == "/odom"
+
+
+ONLY_WHEELS = re.sub('<joint name="(head|arm).*\n', "", AT_BASE)
+
+
+def test_where_only_wheels_move_the_camera_is_on_the_base():
+    """Its frame is not in the URDF: head.head_frame was asked for."""
+    caster = joint_of("caster_swivel_joint", "base_link", "caster", "continuous")
+    wheels, urdf = {"/joint_states": JOINTS[:2]}, ONLY_WHEELS.replace("</robot>", caster + "</robot>")
+    rig, notes = resolve_rig(RigConfig(), description(urdf=urdf, joint_names=wheels))
+    assert (rig.chain.head_frame, rig.chain.joints) == ("base_link", ())
+    assert any("taken as fixed to base_link" in note for note in notes)
+    for more in ({"joint_names": {"/joint_states": JOINTS[:3]}}, {"urdf": AT_BASE.replace("tilt", "nod")}):
+        with pytest.raises(ConfigError, match="the link that carries the camera is unknown"):
+            resolve_rig(RigConfig(), description(**({"urdf": urdf, "joint_names": wheels} | more)))
+
+
     with pytest.raises(RecordingError, match=r"cameras\.both\.image: the topic /other contains no images"):
         resolve_rig(config(cameras={"both": {"image": "/other"}}), description())
     with pytest.raises(ValueError, match=r"give both\.image, or"):
@@ -789,6 +829,21 @@ def test_a_camera_driver_publishes_the_frames_that_the_urdf_lacks():
         ("stereo_link", "stereo_left_optical"): moving((0, 0, 1), np.zeros(2)),
         ("elsewhere", "pan"): moving((0, 0, 1), np.zeros(2)),
     }
+def test_all_that_moves_the_camera_in_transforms_is_its_head():
+    """The pan joint of this pan-tilt unit carries a link named tilt: the head ended there."""
+    angles = np.linspace(-0.4, 0.6, 20)
+    transforms = {
+        ("base_link", "ptu_tilt_link"): moving((0, 0, 1), angles),
+        ("ptu_tilt_link", "ptu_tilted_link"): moving((0, -1, 0), angles**2),
+        ("ptu_tilted_link", "stereo_left_optical"): moving((0, 0, 1), np.zeros(20)),
+    }
+    states = {"/joint_states": (*JOINTS[:2], "ptu_pan", "ptu_tilt")}
+    log = description(urdf=None, extra=(TF,), transforms=transforms, joint_names=states)
+    rig, _ = resolve_rig(RigConfig(), log)
+    assert rig.chain.joints == ("ptu_tilt_link", "ptu_tilted_link")
+    assert outside_chain(rig.chain, log) == []
+
+
     rig, _ = resolve_rig(RigConfig(), description(urdf=urdf, transforms=frames))
     assert rig.nominal.T_h_reference[:3, 3] == pytest.approx([0.1, 0.2, 0.3])
     assert rig.chain.joints == ("head_pan_joint", "head_tilt_joint")
