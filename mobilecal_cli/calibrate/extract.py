@@ -54,12 +54,13 @@ from mobilecal_cli.readers import (
     open_recording,
     read_description,
     sha256_of,
+    still_joints,
 )
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.head import outside_chain
-from mobilecal_cli.rig.names import may_be_a_reading
+from mobilecal_cli.rig.names import may_be_a_reading, without_joints
 from mobilecal_cli.rig.resolve import Part, Survey, complete_rig, survey_rig
-from mobilecal_cli.rig.wheels import needs_numbers
+from mobilecal_cli.rig.wheels import may_have_wheels, needs_numbers, wheel_joints
 from mobilecal_cli.stations import Plan, spread
 from mobilecal_cli.vision import (
     Detection,
@@ -83,7 +84,8 @@ def describe(
 ) -> Survey:
     """What the description of a recording and a configuration determine.
 
-    Numbers in other messages are read only if no wheel is known without them.
+    Numbers in other messages are read only if no wheel is known without them. Wheels that never move in the joint
+    states, as those of a `joint_state_publisher`, are passed over if anything else may be the wheels.
 
     Args:
         joints_too: read these numbers also where anything else is unknown, as candidates for head joints.
@@ -97,12 +99,28 @@ def describe(
     if earlier is not None and not description.urdfs and earlier.urdfs:
         description = replace(description, urdfs=earlier.urdfs)
         recording.note("the recording contains no URDF; that of an earlier one is used")
+    sets = wheel_joints(config, description)
+    topics = [topic for topic, names in description.joint_names.items() if names]
+    still = still_joints(recording, topics, set().union(*sets))
+    unmoved = set[str]().union(*(joints for joints in sets if joints <= still))
+    survey = _survey(recording, config, without_joints(description, unmoved), joints_too)
+    if unmoved and not may_have_wheels(survey.description):
+        survey = _survey(recording, config, description, joints_too)
+    elif unmoved:
+        recording.note(f"Joints {listed(sorted(unmoved))}: not read as wheels, because they never move.")
+    return _with_topics(recording, survey) if survey.shared else survey
+
+
+def _survey(
+    recording: Recording, config: RigConfig, description: RobotDescription, joints_too: bool
+) -> Survey:
+    """See `describe`."""
     survey = None if needs_numbers(config, description) else survey_rig(config, description)
     if survey is None or (joints_too and survey.lacks):
         others = [topic.name for topic in description.topics if topic.type not in _KNOWN]
         description = replace(description, numbers=number_fields(recording, others, may_be_a_reading))
         survey = survey_rig(config, description)
-    return _with_topics(recording, survey) if survey.shared else survey
+    return survey
 
 
 def _with_topics(recording: Recording, survey: Survey) -> Survey:

@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
+import numpy as np
+
 from mobilecal_cli.errors import MobilecalError, ObservationError, SolveError, noting
 from mobilecal_cli.kinematics import FEWEST_LEGS, unseen_height
 from mobilecal_cli.model import CLOCKS_DIFFER, Extraction, Reason
@@ -61,6 +63,11 @@ def require_stations(extraction: Extraction) -> None:
         cure = f"correct the board in rig.yaml (columns, rows, dictionary, first_id, gap_share): {said}"
     if closer := nearer(extraction):
         cure = closer
+    sides = [track.value for log in extraction.wheels for track in (log.right, log.left)]
+    if sides and all(np.ptp(value) == 0 for value in sides if len(value)):
+        cure = (
+            "the readings of both wheels never change: record the driver of the wheels while the base moves"
+        )
     if reason == Reason.SECOND_BOARD:
         cure = "cover or remove the other checkerboard: only one may be in view"
     if reason == Reason.SQUARES_UNKNOWN:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from itertools import product, takewhile
 
@@ -76,6 +76,15 @@ def joint_state_names(description: RobotDescription) -> list[str]:
     return sorted({name for names in description.joint_names.values() for name in names})
 
 
+def without_joints(description: RobotDescription, names: Collection[str]) -> RobotDescription:
+    """The description without some joints in its joint states."""
+    kept = {
+        topic: tuple(name for name in joints if name not in names)
+        for topic, joints in description.joint_names.items()
+    }
+    return replace(description, joint_names=kept)
+
+
 def require_topic(key: str, topic: str, present: Iterable[str], what: str = "messages") -> None:
     """Raise a RecordingError, which lists the topics present, if the one that a key states is not one of them."""
     if topic not in (present := sorted(present)):
@@ -140,6 +149,7 @@ _CORNERS: dict[str, tuple[Side, str]] = {
     for side in SIDES
     for word in (f"{place}{side[0]}", f"{side[0]}{place}")
 }
+CASTER_WORDS = {"caster", "castor", "casters", "castors"}
 #: Wheels that no motor drives, and joints that are no wheels.
 _NOT_DRIVEN = CASTER_WORDS | {
     "passive", "swivel", "idler", "arm", "gripper", "finger", "steer",
@@ -149,13 +159,17 @@ _NOT_DRIVEN = CASTER_WORDS | {
 
 def _wheel_words(name: str) -> list[str]:
     """`words`, also of names that are written together or short: "/lwhl_ticks" → ["l", "wheel", "ticks"]."""
-CASTER_WORDS = {"caster", "castor", "casters", "castors"}
     return [part for word in words(name) for part in re.sub("wheels?|whls?", " wheel ", word).split()]
 
 
 def is_wheel(name: str) -> bool:
     """Whether a joint is named as a driven wheel."""
     return "wheel" in "".join(_wheel_words(name)) and not _NOT_DRIVEN & {*words(name)}
+
+
+def may_carry_camera(joint: str) -> bool:
+    """Whether a joint is not named as one of a wheel, driven or not."""
+    return "wheel" not in "".join(_wheel_words(joint)) and not CASTER_WORDS & {*words(joint)}
 
 
 def wheel_place(name: str) -> tuple[tuple[str, ...], Side, tuple[str, ...]] | None:
@@ -167,11 +181,6 @@ def wheel_place(name: str) -> tuple[tuple[str, ...], Side, tuple[str, ...]] | No
         if word in _CORNERS:
             side, corner = _CORNERS[word]
             sides.add(side)
-def may_carry_camera(joint: str) -> bool:
-    """Whether a joint is not named as one of a wheel, driven or not."""
-    return "wheel" not in "".join(_wheel_words(joint)) and not CASTER_WORDS & {*words(joint)}
-
-
             place.append(corner)
         elif word in _SIDES:
             sides.add(_SIDES[word])

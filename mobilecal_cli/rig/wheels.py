@@ -74,10 +74,10 @@ _ALIKE = 0.05
 _STEERING = {"steer", "steering"}
 #: Drives that are no differential drive, by the words of their topics, types and joints.
 _OTHER_DRIVES = {
-    "ackermann": "Ackermann",
-    "mecanum": "mecanum",
-    "omni": "omnidirectional",
-    "swerve": "swerve",
+    "ackermann": "an Ackermann",
+    "mecanum": "a mecanum",
+    "omni": "an omnidirectional",
+    "swerve": "a swerve",
 }
 
 
@@ -116,10 +116,25 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
     return sources
 
 
+def _stated(config: RigConfig) -> bool:
+    return config.wheels.odometry is not None or all(w.sources for w in config.wheels.of_sides.values())
+
+
+def wheel_joints(config: RigConfig, description: RobotDescription) -> list[set[str]]:
+    """Joints of each set of wheels by name; none if wheels are configured."""
+    sets = [] if _stated(config) else _wheel_joints(description)
+    return [{*by_side["left"], *by_side["right"]} for by_side in sets]
+
+
 def needs_numbers(config: RigConfig, description: RobotDescription) -> bool:
     """Whether wheels may be among the numbers in other messages: no wheel is configured or named in joint states."""
-    told = all(wheel.sources for wheel in config.wheels.of_sides.values())
-    return config.wheels.odometry is None and not told and not _wheel_joints(description)
+    return not _stated(config) and not _wheel_joints(description)
+
+
+def may_have_wheels(description: RobotDescription) -> bool:
+    """Whether joints or numbers are named as wheels, or there is odometry."""
+    odometry = any(topic.type == ODOMETRY and topic.count for topic in description.topics)
+    return odometry or bool(_wheel_joints(description) or counters(description.numbers))
 
 
 def _topic_of(side: Side, part: WheelSource, description: RobotDescription) -> str:

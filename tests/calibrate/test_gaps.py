@@ -176,6 +176,17 @@ def test_few_stations_are_cured_by_what_most_were_rejected_for(stage, reason, cu
     assert cure in caught.value.hint
 
 
+def test_few_stations_of_wheels_that_never_turn():
+    """ "Keep the board at rest", it said of images that move."""
+    few = extraction("standard")
+    track = few.wheels[0]
+    still = WheelTrack.at_same_times(track.time_ns, 0.0 * track.time_ns, 0.0 * track.time_ns)
+    few = replace(few, observations=few.observations[:1], wheels=(still,))
+    with pytest.raises(ObservationError) as caught:
+        require_stations(few)
+    assert "the readings of both wheels never change" in caught.value.hint
+
+
 @pytest.mark.parametrize(
     "note",
     [

@@ -711,12 +711,6 @@ def test_counters_of_known_drivers(kind, ticks, bits):
     assert rig.sources.wheels["right"] == WheelSource("/core", None, "right_encoder", ticks, bits)
 
 
-def test_both_cameras_in_one_topic():
-    both = {"image": "/stereo/image_raw", "layout": "stacked"}
-    rig = resolve_rig(config(cameras={"both": both}), description(("/stereo/image_raw",)))[0]
-    assert rig.sources.image == {"left": "/stereo/image_raw", "right": "/stereo/image_raw"}
-    assert rig.sources.info == {"left": "/stereo/left/camera_info", "right": "/stereo/right/camera_info"}
-    assert rig.sources.layout == "stacked"
 def test_numbers_that_never_change_are_no_counters():
     """The resolution of an encoder, and the constants of its message."""
     log = counted("left.ticks", "right.ticks", "left.encoder_type", "right.encoder_type")
@@ -751,6 +745,12 @@ def test_where_only_wheels_move_the_camera_is_on_the_base():
             resolve_rig(RigConfig(), description(**({"urdf": urdf, "joint_names": wheels} | more)))
 
 
+def test_both_cameras_in_one_topic():
+    both = {"image": "/stereo/image_raw", "layout": "stacked"}
+    rig = resolve_rig(config(cameras={"both": both}), description(("/stereo/image_raw",)))[0]
+    assert rig.sources.image == {"left": "/stereo/image_raw", "right": "/stereo/image_raw"}
+    assert rig.sources.info == {"left": "/stereo/left/camera_info", "right": "/stereo/right/camera_info"}
+    assert rig.sources.layout == "stacked"
     with pytest.raises(RecordingError, match=r"cameras\.both\.image: the topic /other contains no images"):
         resolve_rig(config(cameras={"both": {"image": "/other"}}), description())
     with pytest.raises(ValueError, match=r"give both\.image, or"):
@@ -823,12 +823,6 @@ def test_the_base_of_transforms_has_a_prefix_or_moves_freely(base):
     assert (rig.chain.base_frame, rig.chain.joints) == (base, ("neck", "skull"))
 
 
-def test_a_camera_driver_publishes_the_frames_that_the_urdf_lacks():
-    urdf = AT_BASE.replace("</robot>", joint_of("mount", "tilt", "stereo_link") + "</robot>")
-    frames = {
-        ("stereo_link", "stereo_left_optical"): moving((0, 0, 1), np.zeros(2)),
-        ("elsewhere", "pan"): moving((0, 0, 1), np.zeros(2)),
-    }
 def test_all_that_moves_the_camera_in_transforms_is_its_head():
     """The pan joint of this pan-tilt unit carries a link named tilt: the head ended there."""
     angles = np.linspace(-0.4, 0.6, 20)
@@ -844,6 +838,12 @@ def test_all_that_moves_the_camera_in_transforms_is_its_head():
     assert outside_chain(rig.chain, log) == []
 
 
+def test_a_camera_driver_publishes_the_frames_that_the_urdf_lacks():
+    urdf = AT_BASE.replace("</robot>", joint_of("mount", "tilt", "stereo_link") + "</robot>")
+    frames = {
+        ("stereo_link", "stereo_left_optical"): moving((0, 0, 1), np.zeros(2)),
+        ("elsewhere", "pan"): moving((0, 0, 1), np.zeros(2)),
+    }
     rig, _ = resolve_rig(RigConfig(), description(urdf=urdf, transforms=frames))
     assert rig.nominal.T_h_reference[:3, 3] == pytest.approx([0.1, 0.2, 0.3])
     assert rig.chain.joints == ("head_pan_joint", "head_tilt_joint")

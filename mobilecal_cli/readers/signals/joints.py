@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -138,6 +139,24 @@ def choose_topics(
     for (topic, other, why), names in silent.items():
         recording.note(f"Joints {listed(names)}: read on {topic}, not on {other}, where {why}.")
     return chosen, problems
+
+
+def still_joints(recording: Recording, topics: Collection[str], names: Collection[str]) -> set[str]:
+    """Those of the joints whose positions and velocities never change; read until all have changed."""
+    first: dict[tuple[str, str], list[float]] = {}
+    left = {*names}
+    for message in recording.messages(topics, Extent(SAMPLED_BYTES)) if left else ():
+        with suppress(RecordingError, *NOT_ITS_TYPE):
+            state = message.decode()
+            fields = [getattr(state, kind, ()) for kind in ("position", "velocity")]
+            for place, name in enumerate(state.name):
+                if name in left:
+                    values = [float(values[place]) for values in fields if place < len(values)]
+                    if first.setdefault((message.topic, name), values) != values:
+                        left.remove(name)
+        if not left:
+            break
+    return left & {name for _, name in first}
 
 
 #: A transform that deviates by more from the motion of its joint belongs to another robot or URDF.
