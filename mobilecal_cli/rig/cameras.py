@@ -255,6 +255,8 @@ def named_cameras(description: RobotDescription) -> dict[str, str]:
 def _single(description: RobotDescription, rectified: bool | None, acceptable: bool) -> str | None:
     """Image topic of the only camera, or of the only one with a camera info, or of color; None if there is none.
 
+    Topics of one frame with images of several sizes are of one camera: the largest are used.
+
     Raises:
         ConfigError: several cameras, unless they are acceptable.
     """
@@ -268,6 +270,10 @@ def _single(description: RobotDescription, rectified: bool | None, acceptable: b
         if len(some) == 1:
             ((_, names),) = some.items()
             return _preferred(names, present)
+    sizes = {_width(names[0], description): names for names in (color or cameras).values()}
+    frames = {description.image_frames.get(names[0]) or names[0] for names in sizes.values()}
+    if len(frames) == 1 and len(sizes) == len(color or cameras):  # one camera in several sizes
+        return _preferred(sizes[max(sizes)], present)
     if len(cameras) > 1 and not acceptable:
         several = "; ".join(sorted(names[0] for names in cameras.values()))
         raise ConfigError(
@@ -277,6 +283,12 @@ def _single(description: RobotDescription, rectified: bool | None, acceptable: b
             f"{min(names[0] for names in cameras.values())}}}}}",
         )
     return None
+
+
+def _width(image: str, description: RobotDescription) -> int:
+    """Width of the images of a topic by the camera info beside it, px; 0 if it is unknown."""
+    beside = _info_beside(image)
+    return description.infos[beside].width if beside in description.infos else 0
 
 
 def _info_beside(image: str) -> str:

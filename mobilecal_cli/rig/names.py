@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from itertools import product, takewhile
+from typing import TypeVar
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import SIDES, NumberField, RobotDescription, Side, listed
 
+T = TypeVar("T")
 HEAD_WORDS = {"head", "neck", "ptu", "camera", "cam", "gimbal", "mast"}
 PAN_WORDS = {"pan", "yaw"}
 TILT_WORDS = {"tilt", "pitch"}
@@ -98,6 +100,21 @@ def require_topic(key: str, topic: str, present: Iterable[str], what: str = "mes
 _COMMANDS = {"cmd", "command", "commands", "target", "setpoint", "goal", "desired", "reference"}
 
 
+def shared_levels(topic: str, images: Iterable[str]) -> int:
+    """Levels of namespace that a topic has in common with an image topic: more for those of the same robot."""
+    levels = (zip(topic.split("/")[:-1], image.split("/")[:-1], strict=False) for image in images)
+    return max(
+        (sum(1 for _ in takewhile(lambda level: level[0] == level[1], each)) for each in levels), default=0
+    )
+
+
+def nearest(choices: Iterable[T], topic_of: Callable[[T], str], images: Iterable[str]) -> list[T]:
+    """Those of the choices whose topics have most levels of namespace in common with an image topic."""
+    levels = [(choice, shared_levels(topic_of(choice), images)) for choice in choices]
+    most = max((level for _, level in levels), default=0)
+    return [choice for choice, level in levels if level == most]
+
+
 def of_one_robot(
     description: RobotDescription, images: Iterable[str], configured: Iterable[str]
 ) -> RobotDescription:
@@ -112,9 +129,7 @@ def of_one_robot(
     """
 
     def nearness(topic: str) -> tuple[bool, int]:
-        levels = (zip(topic.split("/")[:-1], image.split("/")[:-1], strict=False) for image in images)
-        common = (sum(1 for _ in takewhile(lambda level: level[0] == level[1], each)) for each in levels)
-        return not _COMMANDS & {*words(topic)}, max(common, default=0)
+        return not _COMMANDS & {*words(topic)}, shared_levels(topic, images)
 
     images, configured = tuple(images), set(configured)
     nearest: dict[str, tuple[bool, int]] = {}

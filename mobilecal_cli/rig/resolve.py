@@ -172,7 +172,7 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
             # Some drivers name the optical frame in the images only.
             infos[name] = replace(info, frame_id=info.frame_id or of_robot.image_frames.get(image, ""))
     rectified = tried("cameras", lambda: are_rectified(images, config.cameras.rectified)) or False
-    wheels = tried("wheels", lambda: wheel_sources(config, of_robot)) or {}
+    wheels = tried("wheels", lambda: wheel_sources(config, of_robot, images.values())) or {}
     reference = config.cameras.reference or next(iter(images), "")
     frame = infos[reference].frame_id if reference in infos else ""
     head = tried("head chain", lambda: head_of(config, of_robot, urdf_text, wheels, frame))

@@ -31,6 +31,7 @@ from mobilecal_cli.rig.names import (
     counters,
     is_wheel,
     joint_state_names,
+    nearest,
     require_topic,
     tick_counters,
     wheel_place,
@@ -81,8 +82,13 @@ _OTHER_DRIVES = {
 }
 
 
-def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side, WheelSource]:
+def wheel_sources(
+    config: RigConfig, description: RobotDescription, images: Collection[str] = ()
+) -> dict[Side, WheelSource]:
     """Source of each side's rotation: as configured, or found by names: wheel joints, tick counters, or odometry.
+
+    Args:
+        images: image topics of the cameras: of topics that are named alike, those in their namespace are of this robot.
 
     Raises:
         RecordingError: no wheel is found; the hint lists what is present.
@@ -91,7 +97,7 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
     if config.wheels.odometry is not None:
         return _odometry(config, description, config.wheels.odometry)
     stated = {side: wheel for side, wheel in config.wheels.of_sides.items() if wheel.sources}
-    wheels = stated if len(stated) == len(SIDES) else _wheels_by_name(config, description) | stated
+    wheels = stated if len(stated) == len(SIDES) else _wheels_by_name(config, description, images) | stated
     sources: dict[Side, WheelSource] = {}
     for side in (side for side in SIDES if side in wheels):
         parts = wheels[side].sources
@@ -99,7 +105,7 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
         sources[side] = replace(first, others=tuple(others), unread=wheels[side].unread)
     missing = [side for side in SIDES if side not in sources]
     if len(missing) == len(SIDES):
-        sources = _odometry(config, description, _odometry_topic(description))
+        sources = _odometry(config, description, _odometry_topic(description, images))
     elif missing:
         (side,) = missing
         raise ConfigError(
@@ -157,7 +163,9 @@ def _wheel_joints(description: RobotDescription) -> list[dict[Side, tuple[str, .
     return wheel_sets(name for name in joint_state_names(description) if is_wheel(name))
 
 
-def _wheels_by_name(config: RigConfig, description: RobotDescription) -> dict[Side, WheelConfig]:
+def _wheels_by_name(
+    config: RigConfig, description: RobotDescription, images: Collection[str]
+) -> dict[Side, WheelConfig]:
     """The configuration completed by wheels that are found by names; empty if there are none."""
     _refuse_other_drives(description)
     sets = _wheel_joints(description)
@@ -172,7 +180,7 @@ def _wheels_by_name(config: RigConfig, description: RobotDescription) -> dict[Si
     wheels = config.wheels.of_sides
     if sets:
         return {side: wheel.model_copy(update={"joints": sets[0][side]}) for side, wheel in wheels.items()}
-    counted = counters(description.numbers)
+    counted = nearest(counters(description.numbers), lambda by_side: by_side["left"][0].topic, images)
     whole = any(number.integer for by_side in counted for number in by_side["left"])
     # Other numbers are in an unknown unit: odometry says more.
     if not counted or not (whole or ODOMETRY not in {topic.type for topic in description.topics}):
@@ -245,7 +253,7 @@ def counter_width(number: NumberField) -> int | None:
     return None
 
 
-def _odometry_topic(description: RobotDescription) -> str:
+def _odometry_topic(description: RobotDescription, images: Collection[str]) -> str:
     """The odometry that is from the wheels alone, by its topic and frames.
 
     Raises:
@@ -258,7 +266,7 @@ def _odometry_topic(description: RobotDescription) -> str:
     own = [topic for topic in every if not told[topic] & _NOT_WHEELS]
     raw = [topic for topic in own if not told[topic] & _FUSED and "map" not in words(frames[topic][0])]
     named = [topic for topic in raw if told[topic] & _OF_WHEELS]
-    best = named or raw
+    best = nearest(named or raw, str, images)
     if len(best) == 1:
         return best[0]
     if best:

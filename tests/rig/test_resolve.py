@@ -580,6 +580,21 @@ def test_odometry_of_the_wheels_is_preferred(topics, frames, chosen):
     assert resolve_rig(RigConfig(), log)[0].sources.wheels["right"].topic == chosen
 
 
+def test_wheels_of_another_robot_are_not_those_of_the_cameras():
+    images = [f"/two/stereo/{side}/image_raw" for side in ("left", "right")]
+    infos = {f"/two/stereo/{side}/camera_info": info(side) for side in ("left", "right")}
+    log = description(images, odometry("/one/odom", "/two/odom"), joint_names=HEAD_ONLY, infos=infos)
+    assert resolve_rig(RigConfig(), log)[0].sources.wheels["left"].topic == "/two/odom"
+    fields = [(name, side) for name in ("one", "two") for side in ("left", "right")]
+    ticks = tuple(NumberField(f"/{name}/wheel_ticks", f"ticks_{side}", True) for name, side in fields)
+    kinds = [
+        TopicInfo(f"/{name}/wheel_ticks", "irobot_create_msgs/msg/WheelTicks", 9) for name in ("one", "two")
+    ]
+    log = replace(log, numbers=ticks, topics=(*log.topics, *kinds))
+    sources = resolve_rig(RigConfig(), log)[0].sources.wheels
+    assert (sources["left"].topic, sources["left"].field) == ("/two/wheel_ticks", "ticks_left")
+
+
 def test_one_stated_wheel_is_not_completed_by_odometry():
     """The other wheel was that of the odometry, which another driver reads: two sources in one leg."""
     joints = {"/joint_states": (*HEAD_ONLY["/joint_states"], "motor_a", "motor_b")}
@@ -1017,6 +1032,20 @@ def test_several_cameras_are_the_choice_of_the_user(topics):
         image_topics(SQUARE, recorded(*topics))
     assert all(topic in told.value.message for topic in topics)
     assert told.value.hint.startswith("for a stereo pair, set cameras.left.image and cameras.right.image")
+
+
+def test_one_camera_in_several_sizes_is_one():
+    """The preview of an OAK-D: "several cameras could be meant", it said."""
+    topics = ("/oakd/rgb/preview/image_raw", "/oakd/rgb/image_raw")
+    log = recorded(*topics)
+    frames = dict.fromkeys(topics, "oakd_rgb_camera_optical_frame")
+    smaller = replace(log.infos["/oakd/rgb/preview/camera_info"], width=250, height=250)
+    log = replace(log, infos={**log.infos, "/oakd/rgb/preview/camera_info": smaller}, image_frames=frames)
+    assert [*image_topics(SQUARE, log).values()] == ["/oakd/rgb/image_raw"]
+    alike = replace(log, infos={topic: replace(each, width=640) for topic, each in log.infos.items()})
+    for other in (alike, replace(log, image_frames={})):
+        with pytest.raises(ConfigError, match="several cameras could be meant"):
+            image_topics(SQUARE, other)
 
 
 @pytest.mark.parametrize(
