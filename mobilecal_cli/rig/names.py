@@ -16,7 +16,7 @@ HEAD_WORDS = {"head", "neck", "ptu", "camera", "cam", "gimbal", "mast"}
 PAN_WORDS = {"pan", "yaw"}
 TILT_WORDS = {"tilt", "pitch"}
 COMPRESSION_WORDS = {"compressed", "video", "ffmpeg", "h264", "h265", "theora"}
-COUNTER_WORDS = {"tick", "ticks", "encoder", "encoders", "count", "counts"}
+COUNTER_WORDS = {"tick", "ticks", "encoder", "encoders", "enc", "count", "counts"}
 _SIDES: dict[str, Side] = {
     **dict.fromkeys(("left", "l", "cameraleft", "leftcamera"), "left"),
     **dict.fromkeys(("right", "r", "cameraright", "rightcamera"), "right"),

@@ -726,6 +726,15 @@ def test_counters_of_known_drivers(kind, ticks, bits):
     assert rig.sources.wheels["right"] == WheelSource("/core", None, "right_encoder", ticks, bits)
 
 
+def test_counters_named_enc():
+    log = description(
+        extra=[TopicInfo(f"/enc_{s}", "std_msgs/msg/Int32", 5) for s in "lr"], joint_names=HEAD_ONLY
+    )
+    log = replace(log, numbers=tuple(NumberField(f"/enc_{s}", "data", True) for s in "lr"))
+    with pytest.raises(RecordingError, match="data on /enc_l, data on /enc_r: tick counters"):
+        resolve_rig(RigConfig(), log)
+
+
 def test_numbers_that_never_change_are_no_counters():
     """The resolution of an encoder, and the constants of its message."""
     log = counted("left.ticks", "right.ticks", "left.encoder_type", "right.encoder_type")
