@@ -150,8 +150,7 @@ def head_of(
     offset, offset_notes = _vehicle_offset(urdf, wheel_joints, wheels, base, description)
     if head == base and camera_frame not in urdf.links and config.head.head_frame is None:
         notes.append(
-            f"The camera's frame {camera_frame!r} is not in the URDF, in which only wheels move. The camera is taken "
-            f"as fixed to {base}."
+            f"Only wheels move in the URDF, which lacks the camera's frame: the camera is taken as fixed to {base}."
         )
     chain = HeadChain(base, head, (*offset, *chain_links(urdf, base, head)))
     _check_configured(config, chain)
@@ -217,7 +216,7 @@ def _head_link_of(
 ) -> str:
     """Head link of a URDF: as configured, or the last link that a joint moves on the way to the camera.
 
-    Joints behind the tilt joint count only if they are read: a bracket may be set by hand. If no joint moves the
+    Joints behind the tilt joint count only if they, or those that they mimic, are read: a bracket may be set by hand. If no joint moves the
     camera, it is fixed to the base, which is the head then. A camera that is not in the URDF is on the child of the
     tilt joint, or of a pan joint that carries no other moving joint, or on the base if nothing but wheels moves.
     Head_link stands for the link that carries it.
@@ -243,7 +242,8 @@ def _head_link_of(
     if way is not None:
         names = [joint.name for joint in way]
         known = names.index(tilt) + 1 if tilt in names else len(names)
-        behind = [number for number, name in enumerate(names, 1) if number > known and name in read]
+        moved_by = [joint.mimic[0] if joint.mimic else joint.name for joint in way]
+        behind = [number for number, name in enumerate(moved_by, 1) if number > known and name in read]
         return _named_head(urdf, way[max([known, *behind]) - 1].child) if way else base
     if tilt not in urdf.joints and pan in urdf.joints:
         head = urdf.joints[pan].child

@@ -862,6 +862,16 @@ def test_all_that_moves_the_camera_in_transforms_is_its_head():
     assert outside_chain(rig.chain, log) == []
 
 
+def test_a_joint_behind_the_head_that_mimics_one_of_it_moves_the_camera():
+    """No joint state names it: the head ended before it, and the tilt joint "did not fit"."""
+    nod = joint_of("linkage", "tilt", "nod", "revolute").replace("</joint>", '<mimic joint="{}"/></joint>')
+    for mimicked, head in (("head_tilt_joint", "nod"), ("unread", "tilt")):
+        more = nod.format(mimicked) + joint_of("eye", "nod", "stereo_left_optical")
+        urdf = AT_BASE.replace("</robot>", joint_of("unread", "arm", "hand", "revolute") + more + "</robot>")
+        chain = resolve_rig(RigConfig(), description(urdf=urdf))[0].chain
+        assert (chain.head_frame, chain.joints) == (head, ("head_pan_joint", "head_tilt_joint"))
+
+
 def test_a_camera_driver_publishes_the_frames_that_the_urdf_lacks():
     urdf = AT_BASE.replace("</robot>", joint_of("mount", "tilt", "stereo_link") + "</robot>")
     frames = {
