@@ -216,10 +216,10 @@ def _head_link_of(
 ) -> str:
     """Head link of a URDF: as configured, or the last link that a joint moves on the way to the camera.
 
-    Joints behind the tilt joint count only if they, or those that they mimic, are read: a bracket may be set by hand. If no joint moves the
-    camera, it is fixed to the base, which is the head then. A camera that is not in the URDF is on the child of the
-    tilt joint, or of a pan joint that carries no other moving joint, or on the base if nothing but wheels moves.
-    Head_link stands for the link that carries it.
+    Joints behind the tilt joint count only if they, or those that they mimic, are read: a bracket may be set by hand.
+    If no joint moves the camera, it is fixed to the base, which is the head then. A camera that is not in the URDF is
+    on the child of the tilt joint, or of a pan joint that carries no other moving joint, or on the base if nothing but
+    wheels moves. Head_link stands for the link that carries it.
 
     Args:
         read: joints whose positions are read.
