@@ -11,6 +11,7 @@ from mobilecal_cli import __version__
 TYPE_CHECKING = False  # that of typing, which takes as long to import as all else here
 if TYPE_CHECKING:
     from pathlib import Path
+    from typing import TextIO
 
 _BROKEN_PIPE = 141  # 128 + SIGPIPE, as a shell shows it for other programs
 _OUTPUT = 7  # as OutputError, which is not imported this early
@@ -56,7 +57,7 @@ def main() -> None:
         unwritable = errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EBADF
         if error.filename is not None or error.errno not in unwritable:
             raise
-        sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115 - Python would try to flush it again
+        _discard(sys.stdout)
         if error.errno == errno.EPIPE:
             sys.exit(_BROKEN_PIPE)
         _complain(f"error: standard output cannot be written: {error.strerror}")
@@ -65,8 +66,8 @@ def main() -> None:
     finally:
         try:
             sys.stderr.flush()
-        except OSError:  # Python would try it again, and end with an exit code of its own
-            sys.stderr = open(os.devnull, "w")  # noqa: PTH123, SIM115
+        except OSError:
+            _discard(sys.stderr)
 
 
 def help_file() -> Path:
@@ -94,6 +95,11 @@ def _complain(line: str) -> None:
     shown = "".join(c if c.isprintable() else "?" for c in line)  # a path must not control the terminal
     with suppress(OSError):
         print(shown, file=sys.stderr)
+
+
+def _discard(stream: TextIO) -> None:
+    """Write nothing more to a stream: Python would try it again at its end, and exit with a code of its own."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _open_standard_streams() -> None:

@@ -104,7 +104,8 @@ def test_output_that_cannot_be_written_is_an_error(command, redirection):
     if redirection.endswith("full") and not Path("/dev/full").exists():
         pytest.skip("this system has no /dev/full")
     words = f"{shlex.quote(sys.executable)} -m mobilecal_cli {command} {redirection}"
-    done = subprocess.run(["sh", "-c", words], capture_output=True, text=True)
+    environment = {**os.environ, "PYTHONUNBUFFERED": ""}  # what is kept is written at the end
+    done = subprocess.run(["sh", "-c", words], capture_output=True, text=True, env=environment)
     assert done.returncode == 7
     assert done.stderr.startswith("error: standard output cannot be written: ")
 
