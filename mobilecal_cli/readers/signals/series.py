@@ -130,8 +130,9 @@ def with_rests(track: Track) -> Track:
 #: this, rad or m, and than this share of the range of all or so many usual steps, is so many times as large as what
 #: remains of it, and faster than joints move, rad/s or m/s.
 _JUMP, _JUMP_SHARE, _JUMP_STEPS, _RETURNS, _TOO_FAST = 0.03, 0.05, 10.0, 20.0, 5.0
-#: Largest share of such messages among which the right readings are known, and fewest messages that are judged by it.
-_ALTERNATING_SHARE, _ALTERNATING = 0.1, 20
+#: Largest share of such messages among which the right readings are known; where most of them jump to one value, as of
+#: a publisher that never moves anything; and fewest messages that are judged by it.
+_ALTERNATING_SHARE, _ONE_VALUE_SHARE, _ALTERNATING = 0.1, 0.4, 20
 #: Where a clock steps back, readings before and after it lie in one another in one stretch, at most this share of all.
 _ONE_STRETCH = 0.5
 _PUBLISHERS = "often joint_state_publisher beside the driver; `ros2 topic info -v` lists them"
@@ -170,12 +171,16 @@ def without_strays(every: Sequence[Samples], notes: list[str]) -> list[Samples]:
         strays = _strays(value, samples.log_ns)
         if not len(strays):
             continue
+        each, counts = np.unique(value[strays], return_counts=True)
+        most, limit = strays[value[strays] == each[np.argmax(counts)]], _ALTERNATING_SHARE
+        if len(most) > max(len(strays) / 2, limit * total):  # those beside them may seem to jump, too
+            strays, limit = most, _ONE_VALUE_SHARE
         before, k = strays[len(strays) // 2] + np.array([-1, 0])
-        if total >= _ALTERNATING and len(strays) > _ALTERNATING_SHARE * total:
+        if total >= _ALTERNATING and len(strays) > limit * total:
             alternate = (
                 f"{samples.label}: the readings alternate between two values, such as {value[before]:.3g} and "
                 f"{value[k]:.3g}, in {100 * len(strays) / total:.0f} % of {total} messages (limit "
-                f"{100 * _ALTERNATING_SHARE:.0f} %)"
+                f"{100 * limit:.0f} %)"
             )
             first_s, last_s = (1e-9 * (samples.log_ns[strays[[0, -1]]] - samples.log_ns[0])).tolist()
             if last_s - first_s < _ONE_STRETCH * 1e-9 * np.ptp(samples.log_ns):
