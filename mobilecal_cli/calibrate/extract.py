@@ -50,11 +50,13 @@ from mobilecal_cli.readers import (
     Recording,
     choose_topics,
     join_splits,
+    joint_numbers,
+    never_changing,
     number_fields,
     open_recording,
+    pose_numbers,
     read_description,
     sha256_of,
-    still_joints,
 )
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.head import outside_chain
@@ -99,16 +101,29 @@ def describe(
     if earlier is not None and not description.urdfs and earlier.urdfs:
         description = replace(description, urdfs=earlier.urdfs)
         recording.note("the recording contains no URDF; that of an earlier one is used")
-    sets = wheel_joints(config, description)
-    topics = [topic for topic, names in description.joint_names.items() if names]
-    still = still_joints(recording, topics, set().union(*sets))
-    unmoved = set[str]().union(*(joints for joints in sets if joints <= still))
-    survey = _survey(recording, config, without_joints(description, unmoved), joints_too)
+    unmoved, others = _without_unmoved(recording, config, description)
+    survey = _survey(recording, config, others, joints_too)
     if unmoved and not may_have_wheels(survey.description):
         survey = _survey(recording, config, description, joints_too)
     elif unmoved:
         recording.note(f"Joints {listed(sorted(unmoved))}: not read as wheels, because they never move.")
     return _with_topics(recording, survey) if survey.shared else survey
+
+
+def _without_unmoved(
+    recording: Recording, config: RigConfig, description: RobotDescription
+) -> tuple[set[str], RobotDescription]:
+    """Wheel joints that never move, and the description without these and without odometry that never moves, either."""
+    sets = wheel_joints(config, description)
+    topics = [topic for topic, names in description.joint_names.items() if names]
+    still = never_changing(recording, topics, set().union(*sets), joint_numbers)
+    unmoved = set[str]().union(*(joints for joints in sets if joints <= still))
+    if not unmoved:
+        return unmoved, description
+    odometry = [topic.name for topic in description.topics if topic.type == ODOMETRY]
+    still = never_changing(recording, odometry, odometry, pose_numbers)
+    moving = tuple(topic for topic in description.topics if topic.name not in still)
+    return unmoved, replace(without_joints(description, unmoved), topics=moving)
 
 
 def _survey(

@@ -11,4 +11,4 @@ from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.description import number_fields, read_description
 from mobilecal_cli.readers.pictures import pictures_near, read_images
 from mobilecal_cli.readers.signals import clocks_that_differ, read_signals
-from mobilecal_cli.readers.signals.joints import choose_topics, still_joints
+from mobilecal_cli.readers.signals.joints import choose_topics, joint_numbers, never_changing, pose_numbers

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -141,22 +141,40 @@ def choose_topics(
     return chosen, problems
 
 
-def still_joints(recording: Recording, topics: Collection[str], names: Collection[str]) -> set[str]:
-    """Those of the joints whose positions and velocities never change; read until all have changed."""
+def never_changing(
+    recording: Recording,
+    topics: Collection[str],
+    names: Collection[str],
+    states: Callable[[str, Decoded], Iterable[tuple[str, list[float]]]],
+) -> set[str]:
+    """Those of some names whose numbers never change on any of the topics; read until all have changed.
+
+    Args:
+        states: (name, numbers) in a message of a topic.
+    """
     first: dict[tuple[str, str], list[float]] = {}
     left = {*names}
     for message in recording.messages(topics, Extent(SAMPLED_BYTES)) if left else ():
         with suppress(RecordingError, *NOT_ITS_TYPE):
-            state = message.decode()
-            fields = [getattr(state, kind, ()) for kind in ("position", "velocity")]
-            for place, name in enumerate(state.name):
-                if name in left:
-                    values = [float(values[place]) for values in fields if place < len(values)]
-                    if first.setdefault((message.topic, name), values) != values:
-                        left.remove(name)
+            for name, values in states(message.topic, message.decode()):
+                if name in left and first.setdefault((message.topic, name), values) != values:
+                    left.remove(name)
         if not left:
             break
     return left & {name for _, name in first}
+
+
+def joint_numbers(topic: str, state: Decoded) -> Iterator[tuple[str, list[float]]]:
+    """Position and velocity of each joint of a joint state."""
+    fields = [getattr(state, kind, ()) for kind in ("position", "velocity")]
+    for place, name in enumerate(state.name):
+        yield name, [float(values[place]) for values in fields if place < len(values)]
+
+
+def pose_numbers(topic: str, state: Decoded) -> Iterator[tuple[str, list[float]]]:
+    """Place and heading of an odometry message, by its topic."""
+    place, turn = state.pose.pose.position, state.pose.pose.orientation
+    yield topic, [float(value) for value in (place.x, place.y, turn.z, turn.w)]
 
 
 #: A transform that deviates by more from the motion of its joint belongs to another robot or URDF.
