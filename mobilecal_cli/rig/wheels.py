@@ -138,9 +138,10 @@ def needs_numbers(config: RigConfig, description: RobotDescription) -> bool:
 
 
 def may_have_wheels(description: RobotDescription) -> bool:
-    """Whether joints or numbers are named as wheels, or there is odometry."""
+    """Whether joints, or numbers that change, are named as wheels, or there is odometry."""
     odometry = any(topic.type == ODOMETRY and topic.count for topic in description.topics)
-    return odometry or bool(_wheel_joints(description) or counters(description.numbers))
+    changing = [number for number in description.numbers if not number.still]
+    return odometry or bool(_wheel_joints(description) or counters(changing))
 
 
 def _topic_of(side: Side, part: WheelSource, description: RobotDescription) -> str:

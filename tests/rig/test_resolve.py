@@ -24,6 +24,7 @@ from mobilecal_cli.rig.head import fixed_pose, outside_chain, urdf_of_transforms
 from mobilecal_cli.rig.names import pairs, side_of, words
 from mobilecal_cli.rig.resolve import complete_rig, survey_rig
 from mobilecal_cli.rig.settings import wheel_settings
+from mobilecal_cli.rig.wheels import may_have_wheels
 
 URDF = """<robot name="r">
 <joint name="wheel_left_joint" type="continuous"><parent link="base_link"/><child link="wl"/><origin xyz="{x} 0.25 0.1"/></joint>
@@ -742,6 +743,14 @@ def test_numbers_that_never_change_are_no_counters():
     stated = {side: {"ticks_per_revolution": 1000} for side in ("left", "right")}
     sources = resolve_rig(config(wheels=stated), replace(log, numbers=tuple(numbers)))[0].sources.wheels
     assert sources["left"].field == "left.ticks"
+
+
+@pytest.mark.parametrize("still", [False, True])
+def test_counters_that_stand_still_are_no_other_wheels(still):
+    """Of a recording in which the head alone moves, those of the joint states are as good, and need no resolution."""
+    log = counted("left.ticks", "right.ticks")
+    numbers = tuple(replace(number, still=still) for number in log.numbers)
+    assert may_have_wheels(replace(log, numbers=numbers)) is not still
 
 
 def test_odometry_says_more_than_numbers_in_an_unknown_unit():
