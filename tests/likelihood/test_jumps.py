@@ -292,7 +292,8 @@ def test_a_wheel_that_changes_under_a_fixed_camera_is_no_exchange_of_both():
     ("seed", "first", "change", "outliers"),
     [
         (3, 20, 1.08, 3),
-        (3, 22, 0.5, 2),  # two legs alone: both were slips, and a PASS with the size before
+        # Two legs alone: both were slips, and a PASS with the size before.
+        pytest.param(3, 22, 0.5, 2, marks=pytest.mark.long),
         *(
             pytest.param(*case, 0, marks=pytest.mark.long)
             for case in ((3, 4, 1.1), (4, 19, 1.06), (6, 18, 1.04), (3, 12, 1.1))
@@ -322,7 +323,9 @@ def test_a_wheel_that_changes_on_the_last_leg_looks_like_a_slip():
     assert outlier.text.endswith("A wheel whose size changes on the last leg looks the same.")
 
 
-@pytest.mark.parametrize(("cameras", "by"), [(("left",), 0.01), (("left", "right"), 0.03)])
+@pytest.mark.parametrize(
+    ("cameras", "by"), [pytest.param(("left",), 0.01, marks=pytest.mark.long), (("left", "right"), 0.03)]
+)
 def test_a_camera_that_focuses_anew_has_not_moved(whole, cameras, by):
     """It was "the right camera against the left camera moved", or wheel noise where both cameras do so."""
     refocused = extraction_of(ROBOT, ROUTE, NOISE, 1, constants={f"focal_{name}": by for name in cameras})
