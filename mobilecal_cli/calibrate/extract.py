@@ -60,7 +60,7 @@ from mobilecal_cli.readers import (
 )
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.head import outside_chain
-from mobilecal_cli.rig.names import may_be_a_reading, without_joints
+from mobilecal_cli.rig.names import joint_state_names, may_be_a_reading, without_joints
 from mobilecal_cli.rig.resolve import Part, Survey, complete_rig, survey_rig
 from mobilecal_cli.rig.wheels import may_have_wheels, needs_numbers, wheel_joints
 from mobilecal_cli.stations import Plan, spread
@@ -91,7 +91,8 @@ def describe(
 
     Args:
         joints_too: read these numbers also where anything else is unknown, as candidates for head joints.
-        earlier: of another recording of the robot, whose URDF is used if this one contains none.
+        earlier: of another recording of the robot, whose URDF is used if this one contains none, and whose wheels are
+            those of this one.
 
     Raises:
         RecordingError: the recording is empty.
@@ -101,29 +102,37 @@ def describe(
     if earlier is not None and not description.urdfs and earlier.urdfs:
         description = replace(description, urdfs=earlier.urdfs)
         recording.note("the recording contains no URDF; that of an earlier one is used")
-    unmoved, others = _without_unmoved(recording, config, description)
+    unread, others = _without_unmoved(recording, config, description, earlier)
     survey = _survey(recording, config, others, joints_too)
-    if unmoved and not may_have_wheels(survey.description):
+    if unread and not may_have_wheels(survey.description):
         survey = _survey(recording, config, description, joints_too)
-    elif unmoved:
-        recording.note(f"Joints {listed(sorted(unmoved))}: not read as wheels, because they never move.")
+    elif unread:
+        because = "because they never move" if earlier is None else "as in the first recording"
+        recording.note(f"Joints {listed(sorted(unread))}: not read as wheels, {because}.")
     return _with_topics(recording, survey) if survey.shared else survey
 
 
 def _without_unmoved(
-    recording: Recording, config: RigConfig, description: RobotDescription
+    recording: Recording, config: RigConfig, description: RobotDescription, earlier: RobotDescription | None
 ) -> tuple[set[str], RobotDescription]:
-    """Wheel joints that never move, and the description without these and without odometry that never moves, either."""
+    """Wheel joints that are not read, and the description without these.
+
+    They never move; then odometry that never moves, either, is left out, too. Further recordings have the wheels of the
+    first one.
+    """
     sets = wheel_joints(config, description)
+    if earlier is not None:
+        unread = set[str]().union(*sets).difference(joint_state_names(earlier))
+        return unread, without_joints(description, unread)
     topics = [topic for topic, names in description.joint_names.items() if names]
     still = never_changing(recording, topics, set().union(*sets), joint_numbers)
-    unmoved = set[str]().union(*(joints for joints in sets if joints <= still))
-    if not unmoved:
-        return unmoved, description
+    unread = set[str]().union(*(joints for joints in sets if joints <= still))
+    if not unread:
+        return unread, description
     odometry = [topic.name for topic in description.topics if topic.type == ODOMETRY]
     still = never_changing(recording, odometry, odometry, pose_numbers)
     moving = tuple(topic for topic in description.topics if topic.name not in still)
-    return unmoved, replace(without_joints(description, unmoved), topics=moving)
+    return unread, replace(without_joints(description, unread), topics=moving)
 
 
 def _survey(

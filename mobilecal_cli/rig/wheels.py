@@ -183,10 +183,9 @@ def _wheels_by_name(
         return {side: wheel.model_copy(update={"joints": sets[0][side]}) for side, wheel in wheels.items()}
     counted = nearest(counters(description.numbers), lambda by_side: by_side["left"][0].topic, images)
     whole = any(number.integer for by_side in counted for number in by_side["left"])
-    # Other numbers are in an unknown unit: odometry says more.
-    if not counted or not (whole or ODOMETRY not in {topic.type for topic in description.topics}):
-        return {}
-    return _with_counters(wheels, description, counted)
+    odometry = ODOMETRY in {topic.type for topic in description.topics}
+    # Numbers that are not whole are in an unknown unit: odometry says more.
+    return _with_counters(wheels, description, counted) if counted and (whole or not odometry) else {}
 
 
 def _refuse_other_drives(description: RobotDescription) -> None:

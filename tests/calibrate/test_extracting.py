@@ -214,32 +214,51 @@ def test_a_second_topic_that_says_nothing_is_not_read(sample_logs, tmp_path, top
     assert found.notes == draft([log]).notes == (note,)
 
 
+def with_wheels(records, moving=False, odometry="drives"):
+    """Records with wheels in the joint states, and with odometry that drives, stands or is not there."""
+    for number, record in enumerate(records):
+        if record.topic in ("/joint_states", "/odom"):
+            message = STORE.deserialize_cdr(record.data, record.type)
+            if record.topic == "/joint_states":
+                wheels, turned = ["left_wheel_joint", "right_wheel_joint"], [0.01 * number * moving] * 2
+                position = np.append(message.position, turned)
+                message = replace(message, name=[*message.name, *wheels], position=position)
+            elif odometry == "stands":
+                place, turn = message.pose.pose.position, message.pose.pose.orientation
+                place.x = place.y = turn.z = 0.0
+                turn.w = 1.0
+            record = replace(record, data=bytes(STORE.serialize_cdr(message, record.type)))
+        if odometry or record.topic != "/odom":
+            yield record
+
+
+def wheels_of(log, earlier=None):
+    """Survey of a recording, topics of its wheels, and whether a note says that joints are not read as wheels."""
+    with open_recording([log]) as recording:
+        survey = describe(recording, load_rig(None, {"board.square_m": 0.08}), earlier=earlier)
+        said = any(
+            "Joints left_wheel_joint, right_wheel_joint: not read" in note for note in recording.damage
+        )
+    return survey.description, {wheel.topic for wheel in survey.sources.wheels.values()}, said
+
+
 @pytest.mark.parametrize("odometry", ["drives", "stands", ""])
 def test_wheels_that_never_move_are_not_read_where_there_are_others(sample_logs, tmp_path, odometry):
     """Those of a joint_state_publisher: "1 x board or robot moved during the stop", it said."""
-
-    def with_wheels(record):
-        message = STORE.deserialize_cdr(record.data, record.type)
-        if record.topic == "/odom" and odometry == "stands":
-            message.pose.pose.position.x = message.pose.pose.position.y = message.pose.pose.orientation.z = (
-                0.0
-            )
-            message.pose.pose.orientation.w = 1.0
-            return replace(record, data=bytes(STORE.serialize_cdr(message, record.type)))
-        if record.topic != "/joint_states":
-            return record
-        wheels, position = ["left_wheel_joint", "right_wheel_joint"], np.append(message.position, [0.0, 0.0])
-        message = replace(message, name=[*message.name, *wheels], position=position)
-        return replace(record, data=bytes(STORE.serialize_cdr(message, record.type)))
-
-    records = records_of(sample_logs / "rgbd_odometry.mcap")
-    kept = (with_wheels(record) for record in records if odometry or record.topic != "/odom")
-    with open_recording([written(tmp_path / "log.mcap", kept)]) as recording:
-        survey = describe(recording, load_rig(None, {"board.square_m": 0.08}))
-    topics = {wheel.topic for wheel in survey.sources.wheels.values()}
+    records = with_wheels(records_of(sample_logs / "rgbd_odometry.mcap"), odometry=odometry)
+    _, topics, said = wheels_of(written(tmp_path / "log.mcap", records))
     assert topics == {"/odom" if odometry == "drives" else "/joint_states"}
-    said = "Joints left_wheel_joint, right_wheel_joint: not read as wheels, because they never move."
-    assert (said in recording.damage) is (odometry == "drives")
+    assert said is (odometry == "drives")
+
+
+@pytest.mark.parametrize(("moving", "topic"), [(True, "/joint_states"), (False, "/odom")])
+def test_the_wheels_of_further_recordings_are_those_of_the_first(sample_logs, tmp_path, moving, topic):
+    """Where the base stood in the first one: "the radius multiplier is 2.231", of rotations that were read as odometry."""
+    earlier = None
+    for stands in (not moving, moving):
+        records = with_wheels(records_of(sample_logs / "rgbd_odometry.mcap"), not stands)
+        earlier, topics, said = wheels_of(written(tmp_path / f"{stands}.mcap", records), earlier)
+        assert (topics, said) == ({topic}, topic == "/odom")
 
 
 def test_log_times_that_are_all_zero_are_no_other_topic(sample_logs, tmp_path):
