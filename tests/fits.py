@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from mobilecal_cli.model import Extraction, Parameters
 from mobilecal_cli.solvers.constraints import Constraints
-from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.solvers.fit import LikelihoodFit
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 
 
 def maximum_likelihood(
     extraction: Extraction, constraints: Constraints | None = None, start: Parameters | None = None
-) -> Fit:
+) -> LikelihoodFit:
     """The fit under some constraints, from the linear solution or from given parameters."""
     return robust_fit(Inference.of(extraction, constraints or Constraints()), start)

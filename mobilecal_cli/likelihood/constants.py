@@ -51,7 +51,7 @@ WHEEL_SIGMA = 0.2
 #: A recording of no more stations says nothing of its floor: two numbers take up what the legs between them show.
 FEW_PLACES = 3
 #: A constant that the user frees has so many times its default prior sigma.
-FREE = 100.0
+FREED_SIGMAS = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -404,7 +404,7 @@ def with_priors(rows: Iterable[Constant], sigmas: Mapping[str, float]) -> Iterat
     for row in rows:
         sigma = sigmas.get(row.name, sigmas.get(row.kind, sigmas.get("all", row.sigma)))
         if sigma > 0:
-            wide = FREE * row.sigma if math.isinf(sigma) else sigma
+            wide = FREED_SIGMAS * row.sigma if math.isinf(sigma) else sigma
             yield replace(row, sigma=wide)
 
 

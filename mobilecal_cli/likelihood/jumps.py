@@ -41,7 +41,7 @@ WHEELS = {"right wheel": [0], "left wheel": [1], BOTH_WHEELS: [0, 1]}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Jump:
+class ScoredJump:
     """A step of one part.
 
     Attributes:
@@ -110,7 +110,7 @@ def _parts(lin: Posterior, between: bool) -> dict[str, _Part]:
     return {name: part for name, part in parts.items() if name not in others}
 
 
-def _part_of(lin: Posterior, jump: Jump) -> _Part:
+def _part_of(lin: Posterior, jump: ScoredJump) -> _Part:
     first = jump.station == np.flatnonzero(lin.data.log == lin.data.log[jump.station])[0]
     return _parts(lin, bool(first))[jump.part]
 
@@ -212,7 +212,7 @@ def _scores(lin: Posterior, part: _Part, stations: Sequence[int] | IntArray, las
     return _Scores(information, np.sum(along * over, axis=1), shown.sum(axis=1), value)
 
 
-def without(lin: Posterior, jump: Jump, large: bool = False) -> Posterior:
+def without(lin: Posterior, jump: ScoredJump, large: bool = False) -> Posterior:
     """The same point with the residuals that remain after a step, to first order; a large one of wheels exactly.
 
     To first order, the derivatives may be those midway between the wheels before and after; a large step begins at the
@@ -229,7 +229,7 @@ def without(lin: Posterior, jump: Jump, large: bool = False) -> Posterior:
     return lin.changed(known={"images": images}, leg_offset=lin.leg_offset + offset)
 
 
-def again(lin: Posterior, jump: Jump) -> Jump:
+def again(lin: Posterior, jump: ScoredJump) -> ScoredJump:
     """The test of a step whose residuals have been taken out, at other noise levels, and the step there."""
     score = _scores(lin, _part_of(lin, jump), [jump.station])
     value = jump.value + score.value[0]
@@ -237,12 +237,12 @@ def again(lin: Posterior, jump: Jump) -> Jump:
     return replace(jump, chi2=chi2, value=value, sigmas=equivalent_sigmas(chi2, jump.dof, jump.tried))
 
 
-def slides(data: Dataset, jump: Jump) -> bool:
+def slides(data: Dataset, jump: ScoredJump) -> bool:
     """Whether the part is a prismatic joint."""
     return jump.part.removeprefix("joint ") in data.chain.prismatic
 
 
-def turning(data: Dataset, jump: Jump) -> BoolArray:
+def turning(data: Dataset, jump: ScoredJump) -> BoolArray:
     """(m,) which numbers of a step are a rotation about the axes of its part, rad."""
     constants = _constants(data)
     if jump.part in constants:
@@ -252,13 +252,13 @@ def turning(data: Dataset, jump: Jump) -> BoolArray:
     return np.arange(len(jump.value)) < ((2 if jump.part == LEAN else 3) if turns else 0)
 
 
-def left_by_first_order(lin: Posterior, jump: Jump) -> float:
+def left_by_first_order(lin: Posterior, jump: ScoredJump) -> float:
     """Chi-squared of what is left of a step that was taken out to first order: of a turn by t, t / 2 of its effect."""
     turn = jump.value[turning(lin.data, jump)]
     return jump.chi2 * float(turn @ turn) / 4
 
 
-def scatter(lin: Posterior, jump: Jump) -> float:
+def scatter(lin: Posterior, jump: ScoredJump) -> float:
     """How many times as far a part is off at single stations, or in single legs, as the noise levels say; in variance.
 
     The mean of the score tests of the part at some stations alone, over its expectation. At least 1.
@@ -273,8 +273,8 @@ def scatter(lin: Posterior, jump: Jump) -> float:
     return max(1.0, float(single.chi2.sum()) / max(int(single.dof.sum()), 1))
 
 
-def shift(written: Posterior, covariance: FloatArray, lin: Posterior, jump: Jump) -> float:
-    """How far a jump moves the nine parameters that are written, or is itself in their units: see `Jump`.
+def shift(written: Posterior, covariance: FloatArray, lin: Posterior, jump: ScoredJump) -> float:
+    """How far a jump moves the nine parameters that are written, or is itself in their units: see `ScoredJump`.
 
     Args:
         written: the result, which takes no jump into account.
@@ -286,7 +286,7 @@ def shift(written: Posterior, covariance: FloatArray, lin: Posterior, jump: Jump
     return max(_in_sigmas(moved, np.diag(covariance)[:9]), _own_sigmas(lin, jump))
 
 
-def _own_sigmas(lin: Posterior, jump: Jump) -> float:
+def _own_sigmas(lin: Posterior, jump: ScoredJump) -> float:
     covariance, size, constants = lin.covariance, np.abs(jump.value), _constants(lin.data)
     variance = np.diag(covariance)
     if jump.part == "head mount":
@@ -308,8 +308,8 @@ def _in_sigmas(step: FloatArray, variance: FloatArray) -> float:
     return float(np.max(np.abs(step) / np.sqrt(np.where(variance > 0, variance, np.inf)), initial=0.0))
 
 
-def significance(optimum: Posterior, lin: Posterior, jump: Jump) -> float:
-    """`Jump.sigmas` by an F test, as a jump may itself have made the noise levels without it small.
+def significance(optimum: Posterior, lin: Posterior, jump: ScoredJump) -> float:
+    """`ScoredJump.sigmas` by an F test, as a jump may itself have made the noise levels without it small.
 
     With n residuals that the levels rest on, the score of a jump of m numbers is S at levels with its residuals, and
     chi2 = S / (1 - S / n) at those without. Both show n; S / n has Beta's distribution with m / 2 and (n - m) / 2.
@@ -332,7 +332,7 @@ def significance(optimum: Posterior, lin: Posterior, jump: Jump) -> float:
     return from_chance(min(1.0, chance * jump.tried))
 
 
-def alike(ranked: Sequence[Jump]) -> list[Jump]:
+def alike(ranked: Sequence[ScoredJump]) -> list[ScoredJump]:
     """Other jumps that are hardly less probable than the first of `likeliest`."""
     of_each = ([getattr(jump, name) for jump in ranked] for name in ("chi2", "dof", "tried"))
     rank = _rank(*map(np.array, of_each))
@@ -354,7 +354,7 @@ def stations_after(lin: Posterior, first: int) -> BoolArray:
     return np.asarray((log == log[first]) & (np.arange(len(log)) >= first))
 
 
-def likeliest(lin: Posterior) -> list[Jump]:
+def likeliest(lin: Posterior) -> list[ScoredJump]:
     """The most probable jump of each part at an optimum that is `traced`, the best first, significant or not."""
     data = lin.data
     logs, starts, stations = np.unique(data.log, return_index=True, return_counts=True)
@@ -365,7 +365,7 @@ def likeliest(lin: Posterior) -> list[Jump]:
         mine = np.flatnonzero((data.log == log) & lin.inliers.views)
         inside += mine[_FEWEST_EACH_SIDE : len(mine) - _FEWEST_EACH_SIDE + 1].tolist()
     kinds = 1 + bool(differing and inside)
-    ranked: list[tuple[float, Jump]] = []
+    ranked: list[tuple[float, ScoredJump]] = []
     for between, of_kind in ((False, inside), (True, differing)):
         if not of_kind:
             continue
@@ -386,15 +386,15 @@ def likeliest(lin: Posterior) -> list[Jump]:
                 if name == LEAN and abs(value[2]) > _SINKS_M:
                     continue
                 sigmas = equivalent_sigmas(chi2, dof, count)
-                jump = Jump(name, int(moments[k]), chi2, dof, count, sigmas, 0.0, value)
+                jump = ScoredJump(name, int(moments[k]), chi2, dof, count, sigmas, 0.0, value)
                 ranked.append((-float(rank[k]), jump))
-    best: dict[str, Jump] = {}
+    best: dict[str, ScoredJump] = {}
     for _, jump in sorted(ranked, key=lambda each: each[0]):
         best.setdefault(jump.part, jump)
     return list(best.values())
 
 
-def lasts(lin: Posterior, jump: Jump) -> bool:
+def lasts(lin: Posterior, jump: ScoredJump) -> bool:
     """Whether a jump explains more than a deviation of one station, or leg, next to it does.
 
     Args:

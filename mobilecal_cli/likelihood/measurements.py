@@ -73,7 +73,7 @@ class MotionPairs:
         T_c_k: (N, 4, 4) board in the first camera.
         points_c: (N, M, 3) triangulated corners, m.
         legs: (L, 2) first and second station of each leg.
-        chain: (L,) first leg of the recording that the leg belongs to; legs of a recording are consecutive.
+        first_leg: (L,) first leg of the recording that the leg belongs to; legs of a recording are consecutive.
         steps: wheel rotations along the legs.
     """
 
@@ -81,7 +81,7 @@ class MotionPairs:
     T_c_k: FloatArray
     points_c: FloatArray
     legs: IntArray
-    chain: IntArray
+    first_leg: IntArray
     steps: Increments
 
     @classmethod
@@ -95,7 +95,9 @@ class MotionPairs:
 
     def select(self, legs: IntArray) -> MotionPairs:
         """Some legs alone (increasing indices), each as a recording of its own."""
-        return replace(self, legs=self.legs[legs], chain=np.arange(len(legs)), steps=self.steps.select(legs))
+        return replace(
+            self, legs=self.legs[legs], first_leg=np.arange(len(legs)), steps=self.steps.select(legs)
+        )
 
 
 def planar_pose(pose: FloatArray) -> FloatArray:

@@ -112,7 +112,7 @@ class Posterior(Linearization):
             known = _sandwich(A[:, :, :6], self.marginals.known)
             return known + _sandwich(by_shared, self.conditional_covariance)
 
-    def predicted(self, step: Step) -> Self:
+    def extrapolated(self, step: Step) -> Self:
         """The likelihood after an undamped step, all to first order: residuals follow, derivatives stay."""
         known = {
             "images": self.images.moved(step),

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from mobilecal_cli.likelihood.constants import FREE, family, kind_of
+from mobilecal_cli.likelihood.constants import FREED_SIGMAS, family, kind_of
 from mobilecal_cli.model import NINE, AtWork, Budget, Extraction, Solution
 from mobilecal_cli.ranges import ACCURACY, accuracy
 from mobilecal_cli.report.numbers import DEG, std_text
@@ -131,7 +131,7 @@ def freed_kinds(solution: Solution) -> set[str]:
     return {
         c.kind
         for c in solution.constants.values()
-        if c.prior >= FREE * kind_of(c.kind).sigma * widths.get(family(c.kind), 1.0)
+        if c.prior >= FREED_SIGMAS * kind_of(c.kind).sigma * widths.get(family(c.kind), 1.0)
     }
 
 

@@ -112,7 +112,7 @@ def _drift(
     reckoned = dead_reckoned(pairs, wheels)
     path, turned = covered
     place_m, heading_rad, covered_m, turned_rad = [], [], [], []
-    for legs in (np.flatnonzero(pairs.chain == first) for first in np.unique(pairs.chain)):
+    for legs in (np.flatnonzero(pairs.first_leg == first) for first in np.unique(pairs.first_leg)):
         stations = np.concatenate([pairs.legs[legs, 0], pairs.legs[legs[-1:], 1]])
         so_far = [np.concatenate([[0.0], np.cumsum(values[legs])]) for values in (path, turned)]
         kept = np.unique(np.linspace(0, len(stations) - 1, min(len(stations), _MOST_STATIONS)).astype(int))

@@ -33,7 +33,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.model.signals import pauses
 from mobilecal_cli.model.text import capitalized
-from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.solvers.fit import LikelihoodFit
 from mobilecal_cli.solvers.outliers import longest_stretch, moved_before
 
 _HEADING_SHARE, _HEADING_SIGMAS = 0.005, 5.0  # a scale of headings that is less is none
@@ -42,7 +42,7 @@ _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the da
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 
 
-def contradictions_of(fit: Fit) -> tuple[Evidence, ...]:
+def contradictions_of(fit: LikelihoodFit) -> tuple[Evidence, ...]:
     """Stated constants that the data contradict: those with a prior of the user, then times, then the strongest first.
 
     Images that are taken at other times make all else look wrong, too. Where the data contradict a kind as a whole, but
@@ -63,7 +63,9 @@ def contradictions_of(fit: Fit) -> tuple[Evidence, ...]:
     return tuple(e for e in ranked if e.sigmas > CONTRADICTION_SIGMAS)
 
 
-def scale_of(extraction: Extraction, fit: Fit, contradictions: tuple[Evidence, ...]) -> ScaleCheck | None:
+def scale_of(
+    extraction: Extraction, fit: LikelihoodFit, contradictions: tuple[Evidence, ...]
+) -> ScaleCheck | None:
     """Consistency of square size and stereo baseline; None if no square size is stated or one of them is exact.
 
     The board measured with the baseline as stated, over its stated size: what both estimates together say, without
@@ -94,7 +96,7 @@ def scale_of(extraction: Extraction, fit: Fit, contradictions: tuple[Evidence, .
     return ScaleCheck(1 + ratio, float(std), square_m, baseline_m or 0.0, apart_too_far)
 
 
-def jumps_of(extraction: Extraction, fit: Fit, jump: jumps.Jump | None) -> tuple[Jump, ...]:
+def jumps_of(extraction: Extraction, fit: LikelihoodFit, jump: jumps.ScoredJump | None) -> tuple[Jump, ...]:
     """Where something moved: the most significant jump, from `Inference.jump`, or else a stretch of outliers.
 
     One that moves neither the result nor the part by what matters at work is none, however sharp the images are.
@@ -121,7 +123,7 @@ def jumps_of(extraction: Extraction, fit: Fit, jump: jumps.Jump | None) -> tuple
     return (Jump(jump.part, o.log, jump.station, o.time_ns, (0, 0), *sizes, jump.also, share),)
 
 
-def _unexplained(extraction: Extraction, fit: Fit, stretch: IntArray) -> Jump:
+def _unexplained(extraction: Extraction, fit: LikelihoodFit, stretch: IntArray) -> Jump:
     """The moment at which something moved, for legs that nothing confirms."""
     inliers, first = fit.inliers, moved_before(fit, stretch)
     stations = np.unique(fit.data.legs[stretch])
@@ -130,7 +132,7 @@ def _unexplained(extraction: Extraction, fit: Fit, stretch: IntArray) -> Jump:
     return Jump("", at.log, first, at.time_ns, rejected, math.inf, math.inf, 0.0, 0.0)
 
 
-def wrong_headings(fit: Fit) -> Diagnosis | None:
+def wrong_headings(fit: LikelihoodFit) -> Diagnosis | None:
     """A scale of a planar sensor's headings: the directions of its motions tell it from the wheels' separation.
 
     A step of all free parameters and of the scale from the optimum; its variance is by the scatter over the legs, whose
@@ -159,7 +161,7 @@ def wrong_headings(fit: Fit) -> Diagnosis | None:
     )
 
 
-def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:
+def constants_of(fit: LikelihoodFit) -> dict[str, EstimatedConstant]:
     """The constants of the robot description as estimated, by name; patterns of corners mean nothing elsewhere."""
     std = np.sqrt(np.diag(fit.covariance)[9:]).tolist()
     priors = fit.lin.priors
@@ -172,7 +174,7 @@ def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:
     }
 
 
-def pool_recordings(fit: Fit) -> Fit:
+def pool_recordings(fit: LikelihoodFit) -> LikelihoodFit:
     """The fit with the spread between recordings included; unchanged for a single recording, or single legs."""
     lin = fit.lin
     if len(np.unique(lin.data.log)) < 2 or lin.data.motions:
@@ -183,7 +185,7 @@ def pool_recordings(fit: Fit) -> Fit:
     return replace(fit, lin=lin, between=between, pooled_covariance=covariance)
 
 
-def _gaps_on(extraction: Extraction, fit: Fit, leg: int) -> list[str]:
+def _gaps_on(extraction: Extraction, fit: LikelihoodFit, leg: int) -> list[str]:
     """Pauses of the wheels' readings on a leg, in which the base may drive unseen.
 
     A driver that publishes changes alone pauses at most stations: then only those in which the wheel turned.
@@ -202,7 +204,7 @@ def _gaps_on(extraction: Extraction, fit: Fit, leg: int) -> list[str]:
     return [f"{gap} in the readings of {of}" for gap, of in wheels.items()]
 
 
-def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
+def outliers_of(extraction: Extraction, fit: LikelihoodFit) -> tuple[Outlier, ...]:
     """Description of each outlier of a fit, in order of time."""
     observations, inliers, state = extraction.observations, fit.inliers, fit.lin.state
     begin = [int(track.time_ns[0]) for track in extraction.wheels]

@@ -42,7 +42,7 @@ OBSERVABLE_SHARE = 1 / 3
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class LikelihoodFit:
     """A maximum of the likelihood.
 
     Attributes:
@@ -128,7 +128,7 @@ class Fit:
         return covariance
 
 
-def uncertainty_of(fit: Fit) -> Uncertainty:
+def uncertainty_of(fit: LikelihoodFit) -> Uncertainty:
     """Uncertainty of the nine parameters of a fit."""
     jackknife, J = _jackknife_covariance(fit), _reference_jacobian(fit)
     J[fit.lin.priors.fixed[:9]] = 0.0  # exact, whatever the stereo pair is
@@ -173,7 +173,7 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
     )
 
 
-def _budget_of(fit: Fit, weights: Mapping[str, FloatArray]) -> Budget:
+def _budget_of(fit: LikelihoodFit, weights: Mapping[str, FloatArray]) -> Budget:
     """What limits the accuracy: shares of noise levels, kinds of constants and priors in each variance.
 
     Args:
@@ -190,7 +190,7 @@ def _budget_of(fit: Fit, weights: Mapping[str, FloatArray]) -> Budget:
     return Budget(tuple(sources), nine, dict(zip(weights, at_work.T, strict=True)))
 
 
-def _jackknife_covariance(fit: Fit) -> FloatArray:
+def _jackknife_covariance(fit: LikelihoodFit) -> FloatArray:
     """Jackknife covariance of the nine parameters and the constants, (P, P).
 
     The units left out in turn are each station's images, its joint readings and each leg's wheels. Each unit's shift
@@ -202,7 +202,7 @@ def _jackknife_covariance(fit: Fit) -> FloatArray:
     return np.asarray(spread(fit.lin) + (C * weight) @ C.T + considered @ considered.T)
 
 
-def _reference_jacobian(fit: Fit) -> FloatArray:
+def _reference_jacobian(fit: LikelihoodFit) -> FloatArray:
     """(9, K) derivative of the nine parameters of the reference camera by those of the first one and the constants."""
     data, state = fit.data, fit.lin.state
     J = np.eye(9, data.layout.size)
@@ -219,7 +219,7 @@ def _reference_jacobian(fit: Fit) -> FloatArray:
     return J
 
 
-def _widening(fit: Fit, jackknife: FloatArray) -> FloatArray:
+def _widening(fit: LikelihoodFit, jackknife: FloatArray) -> FloatArray:
     """Factor on the standard deviation of each of the nine parameters, (9,).
 
     The jackknife's, where it is larger than its own scatter explains: the residuals then vary more than their noise

@@ -614,7 +614,7 @@ def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> Whee
 WHOLE: Stages = ((_joints, _wheels, _poses, interruptions), (_delays, _neighbors))
 TWO: Stages = ((_two,),)
 FROZEN: Stages = ((partial(_joints_as_seen, frozen=True),),)
-FREE: Stages = ((partial(_joints_as_seen, frozen=False),), (_free_wheels,))
+FREE_PARTS: Stages = ((partial(_joints_as_seen, frozen=False),), (_free_wheels,))
 #: The same for the motions of a planar sensor, and clocks.
 MOTIONS: Stages = ((_motions, _wheels),)
 LATE: Stages = ((_late_wheels,),)

@@ -31,9 +31,9 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.solvers import outliers
 from mobilecal_cli.solvers.constraints import Constraints
-from mobilecal_cli.solvers.fit import Fit
-from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
-from mobilecal_cli.solvers.linear import InitialPrior, nominal_of
+from mobilecal_cli.solvers.fit import LikelihoodFit
+from mobilecal_cli.solvers.initial import linear_estimate, linear_with_prior
+from mobilecal_cli.solvers.linear import NominalPrior, nominal_of
 from mobilecal_cli.solvers.noise import (
     UNIFORM,
     LevelSearch,
@@ -100,7 +100,7 @@ class Inference:
     data: Dataset
     constraints: Constraints
     motion: MotionSeen
-    nominal: InitialPrior
+    nominal: NominalPrior
     levels: Mapping[str, float]
     guess: Noise
     scales_stay: bool
@@ -154,7 +154,7 @@ class Inference:
         pairs = self.data.pairs if legs is None else self.data.pairs.select(legs)
         if self.full_motion:
             return linear_estimate(pairs, self.nominal.wheels).parameters
-        return initial_with_prior(pairs, self.nominal, self.motion)
+        return linear_with_prior(pairs, self.nominal, self.motion)
 
     # -- priors -------------------------------------------------------------------------------------
 
@@ -232,11 +232,13 @@ class Inference:
         """Supposed levels: given ones, the corners' own scatter, and a guess."""
         return self.guess.with_levels({"pixel_px": max(float(np.median(own_px)), 1e-3), **self.levels})
 
-    def fit(self, state: State, inliers: Inliers, noise: Noise, most_steps: int = MOST_STEPS) -> Fit:
+    def fit(
+        self, state: State, inliers: Inliers, noise: Noise, most_steps: int = MOST_STEPS
+    ) -> LikelihoodFit:
         """Optimize. Unobservable directions keep their prior; repeated until these do not change."""
         return self._fit_from(Posterior.at(state, inliers, noise, self.priors(state)), most_steps)
 
-    def _fit_from(self, start: Posterior, most_steps: int = MOST_STEPS) -> Fit:
+    def _fit_from(self, start: Posterior, most_steps: int = MOST_STEPS) -> LikelihoodFit:
         # Priors that count as measurements: the user's, and the constants'.
         nominal = [name in NINE and name not in self.constraints.priors for name in self.data.layout.names]
         for _ in range(_OBSERVABILITY_ROUNDS):
@@ -251,15 +253,15 @@ class Inference:
             if _same_space(hidden, unobservable) and still:
                 break
             start = lin.under(self.priors(lin.state))
-        return Fit(lin, costs, components(lin), singular_values, self.given)
+        return LikelihoodFit(lin, costs, components(lin), singular_values, self.given)
 
-    def refit(self, fit: Fit, inliers: Inliers) -> Fit:
+    def refit(self, fit: LikelihoodFit, inliers: Inliers) -> LikelihoodFit:
         """Optimize from a fit with other inliers and the same unobservable directions."""
         start = Posterior.at(fit.lin.state, inliers, fit.noise, fit.lin.priors)
         lin, costs = optimize(start, self.on_step)
         return replace(fit, lin=lin, costs=costs, components=components(lin))
 
-    def refit_near(self, fit: Fit, inliers: Inliers) -> Fit:
+    def refit_near(self, fit: LikelihoodFit, inliers: Inliers) -> LikelihoodFit:
         """A fit of other inliers, with noise levels of its own, to first order: residuals follow the parameters.
 
         Raises:
@@ -269,7 +271,7 @@ class Inference:
         lin, _ = self._levels_near(lin)
         return replace(fit, lin=lin, components=components(lin))
 
-    def estimate_noise(self, fit: Fit, fine: bool = False) -> Fit:
+    def estimate_noise(self, fit: LikelihoodFit, fine: bool = False) -> LikelihoodFit:
         """Estimate noise levels and parameters in turn until the levels converge.
 
         The priors' scales stay in a round in which they lead to where the first order does not hold, and more is left
@@ -296,7 +298,7 @@ class Inference:
             fit = self._fit_from(start.under(self.priors(start.state)))
         return fit
 
-    def jump(self, fit: Fit) -> jumps.Jump | None:
+    def jump(self, fit: LikelihoodFit) -> jumps.ScoredJump | None:
         """The jump that explains the residuals best; None where none is significant.
 
         One that explains several outliers comes first; an unexplained stretch of them leaves no other to be found.
@@ -317,7 +319,7 @@ class Inference:
             found, left = found or jump, left + jumps.left_by_first_order(fit.lin, jump)
         return found
 
-    def beside(self, fit: Fit, jump: jumps.Jump) -> Fit:
+    def beside(self, fit: LikelihoodFit, jump: jumps.ScoredJump) -> LikelihoodFit:
         """The fit of the images on one side of a jump, where there are more: what contradicts them is no jump.
 
         Wheels without images contradict nothing. The fit of all where one side alone does not determine the rest.
@@ -331,7 +333,9 @@ class Inference:
         except (SolveError, np.linalg.LinAlgError):
             return fit
 
-    def _likeliest_jump(self, fit: Fit, written: Fit) -> tuple[jumps.Jump, Fit] | None:
+    def _likeliest_jump(
+        self, fit: LikelihoodFit, written: LikelihoodFit
+    ) -> tuple[jumps.ScoredJump, LikelihoodFit] | None:
         """The likeliest jump and the fit without it; of parts that explain about the same, the worst one."""
         # Noise levels that a jump has made large conceal it: it shows at the usual ones. Which part explains most is
         # then compared at the levels of the residuals without it.
@@ -376,7 +380,7 @@ class Inference:
             {name: max(getattr(noise, name), getattr(self.guess, name)) for name in names}
         )
 
-    def _behind_outliers(self, fit: Fit) -> jumps.Jump | None:
+    def _behind_outliers(self, fit: LikelihoodFit) -> jumps.ScoredJump | None:
         """The jump with which most outliers of a recording, several, fit the others.
 
         All measurements on one side of a large one look like outliers: of a wheel, all legs look like slips. Without
@@ -458,7 +462,7 @@ def _unbiased(lin: Posterior) -> Posterior:
         return lin
 
 
-def _sized(written: Fit, jump: jumps.Jump, lin: Posterior) -> jumps.Jump:
+def _sized(written: LikelihoodFit, jump: jumps.ScoredJump, lin: Posterior) -> jumps.ScoredJump:
     """A jump with how far it moves the result that is written, from the point without it."""
     return replace(jump, shift_sigmas=jumps.shift(written.lin, written.covariance, lin, jump))
 

@@ -22,7 +22,7 @@ from mobilecal_cli.likelihood.dataset import Dataset, Inliers
 from mobilecal_cli.likelihood.measurements import MotionPairs, heading_of, planar_pose
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import FloatArray, LinearEstimate, Parameters, WheelGeometry
-from mobilecal_cli.solvers.linear import NO_SIZE_M, InitialPrior, Rounds, ratios_of
+from mobilecal_cli.solvers.linear import NO_SIZE_M, NominalPrior, Rounds, ratios_of
 from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, reckoned_base
 
 PAPER_TOLERANCE = 1e-3  # section 3.5, step 6: no parameter moves by more than 0.1 %
@@ -146,7 +146,7 @@ def linear_estimate(pairs: MotionPairs, nominal: WheelGeometry | None = None) ->
     return replace(kept, rival_point_rms_m=min(rivals, default=math.inf))
 
 
-def initial_with_prior(pairs: MotionPairs, prior: InitialPrior, motion: MotionSeen) -> Parameters:
+def linear_with_prior(pairs: MotionPairs, prior: NominalPrior, motion: MotionSeen) -> Parameters:
     """The linear method with weak priors from nominal values, for motion that does not show all parameters.
 
     Or the nominal values themselves, where most legs agree better with them, and where neither head nor base turns: the
@@ -185,7 +185,7 @@ def initial_with_prior(pairs: MotionPairs, prior: InitialPrior, motion: MotionSe
     return min(zip(worse, misfits, upright, strict=True), key=lambda each: each[:2])[2]
 
 
-def _turned_around(T_h_c: FloatArray, prior: InitialPrior) -> bool:
+def _turned_around(T_h_c: FloatArray, prior: NominalPrior) -> bool:
     """Whether a camera is turned by more than a right angle from the nominal rotation."""
     if prior.T_h_c is None:
         return False
@@ -193,7 +193,7 @@ def _turned_around(T_h_c: FloatArray, prior: InitialPrior) -> bool:
     return float(np.linalg.norm(turn)) > np.pi / 2
 
 
-def initial_state(data: Dataset, parameters: Parameters, inliers: Inliers) -> State:
+def start_state(data: Dataset, parameters: Parameters, inliers: Inliers) -> State:
     """Base poses by dead reckoning with some parameters, and the boards' median poses.
 
     After an outlier leg, the images of the board place the base.

@@ -53,7 +53,7 @@ def head_eye_rotation(R_hi_hj: FloatArray, R_ci_cj: FloatArray) -> tuple[FloatAr
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class InitialPrior:
+class NominalPrior:
     """Nominal values.
 
     Attributes:
@@ -67,11 +67,11 @@ class InitialPrior:
     head_eye_fixed: bool = False
 
 
-def nominal_of(rig: Rig, head_eye_fixed: bool = False) -> InitialPrior:
+def nominal_of(rig: Rig, head_eye_fixed: bool = False) -> NominalPrior:
     """The nominal values of a robot."""
     T_h_reference, wheels = rig.nominal.T_h_reference, rig.nominal.wheels
     T_h_c = None if T_h_reference is None else T_h_reference @ se3.inverse(rig.cameras.T_c_reference)
-    return InitialPrior(T_h_c, wheels, head_eye_fixed)
+    return NominalPrior(T_h_c, wheels, head_eye_fixed)
 
 
 def ratios_of(wheels: WheelGeometry) -> FloatArray:
@@ -85,8 +85,8 @@ def _pairs(pairs: MotionPairs) -> tuple[IntArray, IntArray, IntArray]:
     More than consecutive pairs: far-apart stations turn the head more, so their axes are better known.
     """
     spans = []
-    for start in np.unique(pairs.chain):
-        legs = np.flatnonzero(pairs.chain == start)
+    for start in np.unique(pairs.first_leg):
+        legs = np.flatnonzero(pairs.first_leg == start)
         stride = max(1, len(legs) // _PAIRS_PER_STATION)
         begin = np.arange(len(legs))[:, None]
         end = begin + np.arange(0, len(legs), stride)
@@ -112,9 +112,9 @@ class Rounds:
         common_axis: the head never tilts; +1 or -1 is the sign of the common axis, 0 for a head that tilts.
     """
 
-    def __init__(self, pairs: MotionPairs, prior: InitialPrior | None = None, common_axis: int = 0) -> None:
+    def __init__(self, pairs: MotionPairs, prior: NominalPrior | None = None, common_axis: int = 0) -> None:
         self._pairs = pairs
-        self._prior = prior or InitialPrior()
+        self._prior = prior or NominalPrior()
         self._common_axis = common_axis
         self._i, self._j = pairs.legs.T
         self._Phi = pairs.steps.totals_rad

@@ -15,9 +15,9 @@ from mobilecal_cli.likelihood.dataset import DEGREES, Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import IntArray, Parameters
 from mobilecal_cli.solvers import outliers
-from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.solvers.fit import LikelihoodFit
 from mobilecal_cli.solvers.inference import Inference
-from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.initial import start_state
 from mobilecal_cli.solvers.robust import agreeing
 
 _LOG = logging.getLogger(__name__)
@@ -29,7 +29,7 @@ _CORNER_ROUNDS = 4
 _CLEARLY_WIDER = 1.5
 
 
-def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
+def robust_fit(inference: Inference, start: Parameters | None = None) -> LikelihoodFit:
     """Scales of the priors and outliers, decided one under the other, and a fine fit at the end.
 
     Usually there are no outliers, under the stated priors nor with their scales: then all measurements decide at once.
@@ -56,7 +56,7 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
         return as_stated.estimate_noise(fit, fine=True)
 
 
-def _of_all(inference: Inference, as_stated: Inference, first: Fit) -> Fit | None:
+def _of_all(inference: Inference, as_stated: Inference, first: LikelihoodFit) -> LikelihoodFit | None:
     """The fit of all measurements with the scales of the priors; None where one is an outlier, also as described."""
     try:
         fit = _corners_decided(inference, inference.estimate_noise(first))
@@ -70,7 +70,7 @@ def _of_all(inference: Inference, as_stated: Inference, first: Fit) -> Fit | Non
         return None
 
 
-def _with_scales(inference: Inference, as_stated: Inference, fit: Fit) -> Fit:
+def _with_scales(inference: Inference, as_stated: Inference, fit: LikelihoodFit) -> LikelihoodFit:
     """The fit with the scales of the priors, from one under the stated priors.
 
     Where scales are clearly above 1, the outliers are decided again under these scales: from the beginning, if there
@@ -95,7 +95,7 @@ def _with_scales(inference: Inference, as_stated: Inference, fit: Fit) -> Fit:
     return replace(inference.estimate_noise(fit, fine=True), noisy=noisy)
 
 
-def _swapped(inference: Inference, fit: Fit) -> Fit | None:
+def _swapped(inference: Inference, fit: LikelihoodFit) -> LikelihoodFit | None:
     """A fit with a station's images restored and a leg beside it rejected instead: a slip looks like both."""
     inliers, legs = fit.inliers, inference.data.legs
     for station in np.flatnonzero(~inliers.views & outliers.usable(fit)):
@@ -119,7 +119,7 @@ def _swapped(inference: Inference, fit: Fit) -> Fit | None:
     return None
 
 
-def once_decided(inference: Inference, fit: Fit) -> Fit | None:
+def once_decided(inference: Inference, fit: LikelihoodFit) -> LikelihoodFit | None:
     """A fit with measurements restored or rejected; None where all are consistent."""
     for inliers in _restored(fit):
         # Images that only wrong wheels place may agree to first order alone, and lead nowhere.
@@ -136,7 +136,7 @@ def once_decided(inference: Inference, fit: Fit) -> Fit | None:
     return None
 
 
-def _restored(fit: Fit) -> Iterator[Inliers]:
+def _restored(fit: LikelihoodFit) -> Iterator[Inliers]:
     """Inliers with outliers of one kind that agree with all others, or with images whose reading is wrong alone."""
     for kind in DEGREES:
         used = getattr(fit.inliers, kind)
@@ -150,7 +150,7 @@ def _restored(fit: Fit) -> Iterator[Inliers]:
         yield freed
 
 
-def _suspects(inference: Inference, fit: Fit) -> Iterator[tuple[str, list[tuple[int, ...]]]]:
+def _suspects(inference: Inference, fit: LikelihoodFit) -> Iterator[tuple[str, list[tuple[int, ...]]]]:
     """Kind and indices of inliers that are outliers against all others, to first order; the most striking first."""
     for _, kind, places in outliers.candidates(fit):
         without = outliers.changed(fit.inliers, kind, places, to=False)
@@ -165,7 +165,7 @@ def _suspects(inference: Inference, fit: Fit) -> Iterator[tuple[str, list[tuple[
             yield kind, wrong
 
 
-def _refitted(inference: Inference, fit: Fit, inliers: Inliers) -> Fit:
+def _refitted(inference: Inference, fit: LikelihoodFit, inliers: Inliers) -> LikelihoodFit:
     """A fit of other inliers, from where an earlier one ended, with noise levels of its own."""
     return inference.estimate_noise(inference.fit(fit.lin.state, inliers, fit.noise))
 
@@ -181,20 +181,20 @@ def _supposed(
     driven = np.ones_like(everything.legs)
     if legs is not None:
         driven = np.isin(np.arange(len(driven)), legs)
-    state = initial_state(inference.data, initial, replace(everything, legs=driven))
+    state = start_state(inference.data, initial, replace(everything, legs=driven))
     corners, boards, own_px = outliers.gross_corners(state)
     noise = replace(inference.first_noise(own_px), wider=wider)
     inliers = replace(everything, corners=corners, views=boards)
     return Posterior.at(state, inliers, noise, inference.priors(state))
 
 
-def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
+def _first_fit(inference: Inference, supposed: Posterior) -> LikelihoodFit:
     """A fit of all measurements, or of those that agree if all together are implausible.
 
     Raises:
         SolveError: neither has a fit.
     """
-    fit: Fit | None = None
+    fit: LikelihoodFit | None = None
     why: SolveError | None = None
     try:
         fit = inference.fit(supposed.state, supposed.inliers, supposed.noise, FIRST_STEPS)
@@ -238,12 +238,12 @@ def _linear_starts(inference: Inference, wider: Mapping[str, float], *legs: IntA
             continue
 
 
-def _without_outliers(inference: Inference, first: Fit) -> Fit:
+def _without_outliers(inference: Inference, first: LikelihoodFit) -> LikelihoodFit:
     """Noise levels and outliers, from a first fit."""
     return _decided(inference, _corners_decided(inference, inference.estimate_noise(first)))
 
 
-def _decided(inference: Inference, fit: Fit) -> Fit:
+def _decided(inference: Inference, fit: LikelihoodFit) -> LikelihoodFit:
     """The fit after all decisions on outliers that follow from it."""
     before: list[Inliers] = [fit.inliers]
     for _ in range(_MOST_DECISIONS):
@@ -255,7 +255,7 @@ def _decided(inference: Inference, fit: Fit) -> Fit:
     return fit
 
 
-def _corners_decided(inference: Inference, fit: Fit) -> Fit:
+def _corners_decided(inference: Inference, fit: LikelihoodFit) -> LikelihoodFit:
     """The fit with gross corners decided in the estimated cameras and board: the stated ones may be wrong.
 
     In wrong cameras, corners that are right are rejected, and a misfit of all conceals gross ones. An image or board

@@ -59,7 +59,7 @@ def to_first_order(lin: Posterior) -> Posterior:
     Raises:
         SolveError: a singular matrix.
     """
-    return lin.predicted(proposed(lin)[0])
+    return lin.extrapolated(proposed(lin)[0])
 
 
 def optimize(
@@ -99,7 +99,7 @@ def optimize(
                 raise
             continue
         if converged or (damping == 0 and gain <= _NEAR + _ROUNDING * lin.cost):
-            return lin if converged else lin.predicted(step), np.array(history)
+            return lin if converged else lin.extrapolated(step), np.array(history)
         trial = lin.after(step)
         before = lin.cost
         with np.errstate(over="ignore", invalid="ignore"):  # far off, the cost may overflow: no improvement

@@ -20,7 +20,7 @@ from mobilecal_cli.likelihood.dataset import DEGREES, Dataset, Inliers
 from mobilecal_cli.likelihood.residual_tests import limit
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
-from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.solvers.fit import LikelihoodFit
 from mobilecal_cli.solvers.noise import guess_worth
 
 _CORNER_SIGMAS = 5.5
@@ -78,7 +78,7 @@ def gross_corners(state: State) -> tuple[BoolArray, BoolArray, FloatArray]:
     return inliers, enough & (own < _BAD_BOARD * common), own
 
 
-def worst(fit: Fit) -> float:
+def worst(fit: LikelihoodFit) -> float:
     """Largest statistic of an inlier over its limit, for known noise levels."""
     count = fit.data.stations
     return max(
@@ -88,19 +88,19 @@ def worst(fit: Fit) -> float:
     )
 
 
-def plausible(fit: Fit) -> bool:
+def plausible(fit: LikelihoodFit) -> bool:
     """Whether a first fit of everything, with supposed noise, shows no gross outlier."""
     most = 1.0 if fit.given >= set(fit.components) else _MUCH
     return worst(fit) < most and bool(fit.inliers.views.all())
 
 
-def usable(fit: Fit) -> BoolArray:
+def usable(fit: LikelihoodFit) -> BoolArray:
     """(N,) stations most of whose corners fit the board's shape."""
     most = fit.inliers.corners.sum(axis=2) >= 0.5 * fit.data.seen.sum(axis=2)
     return np.asarray(most.all(axis=1), dtype=np.bool_)
 
 
-def with_reading_freed(fit: Fit) -> Inliers | None:
+def with_reading_freed(fit: LikelihoodFit) -> Inliers | None:
     """The inliers with the images of the outlier station that fits best, and one of its readings rejected instead."""
     least = np.where(
         ~fit.inliers.views & usable(fit), fit.tests.views_freed.min(axis=1, initial=np.inf), np.inf
@@ -112,7 +112,7 @@ def with_reading_freed(fit: Fit) -> Inliers | None:
     return changed(changed(fit.inliers, "views", [(best,)], to=True), "readings", [reading], to=False)
 
 
-def candidates(fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
+def candidates(fit: LikelihoodFit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
     """Inliers that stand out, of each kind the most striking: (by how much, kind, indices)."""
     tests = fit.tests
     striking_most = []
@@ -145,13 +145,13 @@ def some_of(data: Dataset, kind: str, places: IntArray) -> list[tuple[int, ...]]
     return [at for beside in some.values() for at in beside]
 
 
-def beyond(fit: Fit, kind: str) -> FloatArray:
+def beyond(fit: LikelihoodFit, kind: str) -> FloatArray:
     """Statistic of each measurement over its limit, against what all others predict; 0 where it does not matter."""
     statistic = getattr(fit.tests, kind) / limit(fit.data.stations, DEGREES[kind], known_by(fit, kind))
     return np.where(getattr(fit.tests, f"small_{kind}"), 0.0, statistic)
 
 
-def restored(was: Inliers, fit: Fit, before: Fit | None = None) -> IntArray:
+def restored(was: Inliers, fit: LikelihoodFit, before: LikelihoodFit | None = None) -> IntArray:
     """(logs,) number of former outliers of each recording that this fit uses.
 
     Args:
@@ -170,7 +170,7 @@ def restored(was: Inliers, fit: Fit, before: Fit | None = None) -> IntArray:
     return count
 
 
-def longest_stretch(fit: Fit) -> IntArray | None:
+def longest_stretch(fit: LikelihoodFit) -> IntArray | None:
     """Legs one after another whose wheels and images confirm each other nowhere; None if no stretch is long.
 
     Two used stations confirm the legs between them if all of these are used, and few stations between are rejected.
@@ -193,14 +193,14 @@ def longest_stretch(fit: Fit) -> IntArray | None:
     return longest
 
 
-def moved_before(fit: Fit, stretch: IntArray) -> int:
+def moved_before(fit: LikelihoodFit, stretch: IntArray) -> int:
     """The station before which something moved, for legs that nothing confirms: after the first legs of a recording."""
     log, views, (i, j) = fit.data.log, fit.inliers.views, fit.data.legs[stretch].T
     begins = i[0] == 0 or log[i[0] - 1] != log[i[0]]
     return int(j[-1] if begins and views[j[-1]] else j[0])
 
 
-def known_by(fit: Fit, kind: str) -> float:
+def known_by(fit: LikelihoodFit, kind: str) -> float:
     """Number of residuals that the noise rests on that a kind is judged by: very many where a level is given."""
     levels = [level for level in _JUDGED_BY[kind] if level in fit.components]
     if not levels or levels[0] in fit.given:

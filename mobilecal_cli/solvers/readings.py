@@ -16,7 +16,7 @@ from mobilecal_cli.likelihood.measurements import (
     steps_between,
 )
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Rig, Track, WheelTrack
-from mobilecal_cli.solvers.linear import InitialPrior, nominal_of
+from mobilecal_cli.solvers.linear import NominalPrior, nominal_of
 
 FEWEST_STATIONS = 5  # of a recording, or of a part of one: with fewer legs, many mistakes fit
 # Reprojection error over the focal length beyond which the images are wrong, not a joint or the wheels: of 120 robots
@@ -83,7 +83,7 @@ class Readings:
         return len(self.log) - len(np.unique(self.log))
 
     @property
-    def nominal(self) -> InitialPrior:
+    def nominal(self) -> NominalPrior:
         """Nominal values of the robot."""
         return nominal_of(self.rig)
 

@@ -31,7 +31,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.solvers.hypotheses import (
     ANY_WHEELS,
-    FREE,
+    FREE_PARTS,
     FROZEN,
     LATE,
     MOTIONS,
@@ -44,8 +44,8 @@ from mobilecal_cli.solvers.hypotheses import (
     of_one_recording,
     of_sides,
 )
-from mobilecal_cli.solvers.initial import ROUNDS, initial_with_prior, linear_estimate
-from mobilecal_cli.solvers.linear import InitialPrior, Rounds, nominal_of, ratios_of
+from mobilecal_cli.solvers.initial import ROUNDS, linear_estimate, linear_with_prior
+from mobilecal_cli.solvers.linear import NominalPrior, Rounds, nominal_of, ratios_of
 from mobilecal_cli.solvers.readings import FEWEST_STATIONS, Readings, readings_of
 from mobilecal_cli.solvers.transfer import dead_reckoned, leg_rms_m, point_rms_m, refine_lm
 
@@ -234,7 +234,7 @@ class Search:
         Wheels that may read anything explain wrong readings of a joint that turns as the base does, too, and such a
         joint explains what short drives show of wrong wheels: both are named where the wheels explain clearly more.
         """
-        joint, drive = (self._named(self._readings, (stage,), _FITS_FREE) for stage in FREE)
+        joint, drive = (self._named(self._readings, (stage,), _FITS_FREE) for stage in FREE_PARTS)
         if joint is None or drive is None:
             return joint or drive
         of_joint, of_drive = (fit.corrected_share or 0.0 for fit in (joint, drive))
@@ -262,7 +262,7 @@ class Search:
         """
         return next((score for score in self._scores(readings, readings.nominal) if score.possible), None)
 
-    def _scores(self, readings: Readings, nominal: InitialPrior) -> list[_Score]:
+    def _scores(self, readings: Readings, nominal: NominalPrior) -> list[_Score]:
         """A fit of some readings from each start, or from nominal values, the best first."""
         full, shown = readings.distinguishes, readings.roams
         if not (shown or readings is self._readings):
@@ -275,7 +275,7 @@ class Search:
                 parameters = (
                     Rounds(pairs).after(ratios, ROUNDS)
                     if full
-                    else initial_with_prior(pairs, nominal, readings.motion)
+                    else linear_with_prior(pairs, nominal, readings.motion)
                 )
                 misfit, kept = _misfit(pairs, parameters, distance_m)
                 if misfit < _PROMISING:

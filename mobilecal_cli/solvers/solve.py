@@ -50,9 +50,9 @@ from mobilecal_cli.solvers.findings import (
     scale_of,
     wrong_headings,
 )
-from mobilecal_cli.solvers.fit import Fit, uncertainty_of
+from mobilecal_cli.solvers.fit import LikelihoodFit, uncertainty_of
 from mobilecal_cli.solvers.inference import Inference, dataset_for
-from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial_with_prior, linear_estimate
+from mobilecal_cli.solvers.initial import CLEARLY_BETTER, linear_estimate, linear_with_prior, start_state
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, robust_fit
 from mobilecal_cli.solvers.optimize import optimize
@@ -220,7 +220,7 @@ def _explained(solution: Solution, without: Residuals, share: float = 1.0) -> Er
     return ErrorPart(*(math.sqrt(share * max(square, 0.0)) for square in squares))
 
 
-def _usual_lenses(fit: Fit) -> float:
+def _usual_lenses(fit: LikelihoodFit) -> float:
     """The share that is usual of what the lenses do beside their models, as a mean square.
 
     A few tenths of a pixel there are centimeters of a point's depth. If it is more, the description of the cameras is
@@ -279,7 +279,7 @@ def _linear_start(
 
 def _near_nominal(inference: Inference) -> LinearEstimate:
     pairs = inference.data.pairs
-    start = initial_with_prior(pairs, inference.nominal, inference.motion)
+    start = linear_with_prior(pairs, inference.nominal, inference.motion)
     return LinearEstimate(
         start, (start,), 1, point_rms_m(pairs, start), ratios_of(start.wheels), "nominal", math.inf
     )
@@ -288,7 +288,7 @@ def _near_nominal(inference: Inference) -> LinearEstimate:
 def _converges(extraction: Extraction, inference: Inference, start: Parameters) -> bool:
     """Whether one fit of all measurements, with the cameras' errors, brings most legs below the gross misfit."""
     data, everything = inference.data, Inliers.all_of(inference.data)
-    state = initial_state(data, start, everything)
+    state = start_state(data, start, everything)
     noise = inference.first_noise(np.array([data.claimed_px]))
     first = Posterior.at(state, everything, noise, inference.priors(state))
     try:
@@ -490,7 +490,7 @@ def _narrower_priors(extraction: Extraction, constraints: Constraints) -> dict[s
 
 
 def _asked_of(
-    extraction: Extraction, fit: Fit, inference: Inference, start: Parameters
+    extraction: Extraction, fit: LikelihoodFit, inference: Inference, start: Parameters
 ) -> dict[tuple[str, ...], tuple[float, float]]:
     """How far the data alone are from what the user asks, each and all together, see `Uncertainty.asked`.
 

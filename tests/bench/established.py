@@ -16,7 +16,7 @@ from mobilecal_cli.likelihood.dataset import Dataset, Inliers, dataset_of
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.simulate.robot import PAPER_ROBOT
-from mobilecal_cli.solvers.initial import initial_state, linear_estimate
+from mobilecal_cli.solvers.initial import linear_estimate, start_state
 from mobilecal_cli.solvers.optimize import optimize
 from tests.bench.simulated import DISTURBED, TRUE_NOISE, route_of
 from tests.bench.study import kernel_mb, measured, table
@@ -48,7 +48,7 @@ def start_of(path: Path) -> tuple[Dataset, State]:
     extraction = extraction_from_npz(path)
     data = dataset_of(extraction)
     parameters = linear_estimate(data.pairs, extraction.rig.nominal.wheels).parameters
-    return data, initial_state(data, parameters, Inliers.all_of(data))
+    return data, start_state(data, parameters, Inliers.all_of(data))
 
 
 def likelihood_at(data: Dataset, state: State) -> Posterior:

@@ -43,7 +43,7 @@ from mobilecal_cli.simulate.robot import (
 from mobilecal_cli.simulate.route import TURN_RADPS, Motion, Route, plan_route, slipping_radps
 from mobilecal_cli.solvers import Constraints, solve
 from mobilecal_cli.solvers.inference import Inference
-from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.initial import start_state
 from tests import extractions
 from tests.actual import PRIORS, draw
 from tests.bench.simulated import RUNS_PER_ROUTE
@@ -257,7 +257,7 @@ def bound_of(
     data = inference.data
     parameters, everything = parameters_of(true), Inliers.all_of(dataset_of(extraction))
     levels = Noise.exact(**given(noise))
-    state = initial_state(data, parameters, everything)
+    state = start_state(data, parameters, everything)
     lin = Posterior.at(state, everything, levels, inference.priors(state))
     bound: FloatArray = np.linalg.inv(lin.information)[:9, :9]
     return bound

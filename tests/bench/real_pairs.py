@@ -33,7 +33,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers import Constraints
 from mobilecal_cli.solvers.findings import contradictions_of
-from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.solvers.fit import LikelihoodFit
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from mobilecal_cli.vision import Detection, Miss, detect, resolve_square
@@ -229,7 +229,7 @@ def extraction_of(rig: CameraRig, pairs: Sequence[Pair]) -> Extraction:
     return Extraction(robot, _BOARD, seen, (rest,) * len(seen), (), (), (), {})
 
 
-def estimated(rig: CameraRig, pairs: Sequence[Pair]) -> Fit:
+def estimated(rig: CameraRig, pairs: Sequence[Pair]) -> LikelihoodFit:
     """The product's estimate of the cameras and the board from a stated rig; the nine parameters are fixed."""
     extraction = extraction_of(rig, pairs)
     nominal = extraction.rig.nominal
@@ -239,7 +239,7 @@ def estimated(rig: CameraRig, pairs: Sequence[Pair]) -> Fit:
     return robust_fit(inference, Parameters(nominal.T_h_reference, nominal.wheels))
 
 
-def improved(fit: Fit) -> CameraRig:
+def improved(fit: LikelihoodFit) -> CameraRig:
     """The stereo pair as estimated."""
     return fit.lin.state.cameras
 

@@ -17,7 +17,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.simulate.robot import PAPER_ROBOT, SimulatedRobot
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
-from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.initial import start_state
 from tests import extractions
 from tests.pairs import measured_anew
 from tests.robots import in_cameras
@@ -49,7 +49,7 @@ def information_of(robot: SimulatedRobot, route: Route, inliers: Inliers | None 
     extraction = extractions.extraction_of(robot, route)
     data, true = dataset_of(extraction), parameters_of(robot)
     everything = Inliers.all_of(data)
-    state, priors = initial_state(data, true, everything), no_priors(data.layout, true)
+    state, priors = start_state(data, true, everything), no_priors(data.layout, true)
     return Posterior.at(state, inliers or everything, TRUE_NOISE, priors).normal.S
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.simulate.robot import PAPER_ROBOT
-from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.initial import start_state
 from tests.bench.established import likelihood_at
 from tests.bench.established_terms import Terms
 from tests.bench.simulated import DISTURBED, route_of
@@ -21,7 +21,7 @@ def case():
     robot = PAPER_ROBOT
     extraction = extraction_of(robot, route_of(5, 0), DISTURBED, 0)
     data = dataset_of(extraction)
-    start = initial_state(data, parameters_of(robot), Inliers.all_of(data))
+    start = start_state(data, parameters_of(robot), Inliers.all_of(data))
     terms = Terms(data, start)
     random = np.random.default_rng(0)
     first = terms.first()

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mobilecal_cli.likelihood.constants import FREE, KINDS, PATTERNS, floors_of, table, with_priors
+from mobilecal_cli.likelihood.constants import FREED_SIGMAS, KINDS, PATTERNS, floors_of, table, with_priors
 from mobilecal_cli.simulate.robot import PAPER_ROBOT, TICK_ROBOT
 from tests.robots import chain_of, three_on_pan_tilt
 
@@ -27,7 +27,7 @@ def test_priors_narrow_widen_fix_and_free():
     default = {row.name: row.sigma for row in rows}
     assert "focal_left" not in sigmas
     assert sigmas["focal_right"] == 0.01
-    assert sigmas["pan_zero"] == FREE * default["pan_zero"]
+    assert sigmas["pan_zero"] == FREED_SIGMAS * default["pan_zero"]
     assert sigmas["pan_scale"] == 2e-5
     assert sigmas["stereo_r_x"] == default["stereo_r_x"]
     assert not list(with_priors(rows, {"all": 0.0}))

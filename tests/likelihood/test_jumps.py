@@ -72,7 +72,7 @@ def test_a_jump_that_does_not_matter_conceals_no_other(monkeypatch, fitted):
     """A board that is moved, in a recording in which the mount turns too."""
 
     def jump(part, station, shift_sigmas):
-        return jumps.Jump(part, station, 200.0, 6, 1, 10.0, shift_sigmas, np.full(6, 0.01))
+        return jumps.ScoredJump(part, station, 200.0, 6, 1, 10.0, shift_sigmas, np.full(6, 0.01))
 
     left = [jump("board", 5, 0.7), jump("head mount", 11, 5.0), jump("joint pan_joint", 12, 9.0)]
 
@@ -202,7 +202,7 @@ def test_a_camera_that_moves_by_nothing_that_matters_is_not_named(whole, fitted)
     """Sharp images show 0.003 degrees at 6 sigmas, where exposures vary by a millisecond."""
     _, fit = fitted
     turn = np.array([*np.radians([0.003, 0.002, 0.002]), 0.0, 0.0])
-    small = jumps.Jump("right camera", HALF, 60.0, 5, 1, 6.0, 0.5, turn)
+    small = jumps.ScoredJump("right camera", HALF, 60.0, 5, 1, 6.0, 0.5, turn)
     assert jumps_of(whole, fit, small) == ()
     (larger,) = jumps_of(whole, fit, replace(small, value=2 * turn))
     assert larger.part == "right camera"

@@ -14,7 +14,7 @@ from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.measured import from_motions
 from mobilecal_cli.model import Noise, Parameters
 from mobilecal_cli.simulate.robot import TICK_ROBOT
-from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.initial import start_state
 from tests.actual import draw
 from tests.extractions import simulated
 from tests.robots import chain_of
@@ -28,7 +28,7 @@ def test_motions_of_a_planar_sensor_have_the_derivatives_of_differences():
     wheels, T_v_c = test_measured.WHEELS, test_measured.T_V_C
     data = dataset_of(from_motions(test_measured.legs(5, 1), tuple(wheels.vector), T_v_c))
     everything, random = Inliers.all_of(data), np.random.default_rng(0)
-    at = initial_state(data, Parameters(T_v_c, wheels), everything)
+    at = start_state(data, Parameters(T_v_c, wheels), everything)
     processes = processes_of(at, LEVELS, everything)
 
     def residual(state):
@@ -110,7 +110,7 @@ def test_corners_are_where_a_robot_with_these_constants_shows_them(motion, const
     exact, data = (
         dataset_of(simulated(motion, robot=robot, seed=1, constants=each), rows) for each in ({}, constants)
     )
-    state = replace(initial_state(exact, parameters_of(robot), Inliers.all_of(exact)), data=data)
+    state = replace(start_state(exact, parameters_of(robot), Inliers.all_of(exact)), data=data)
     names, shared = list(data.layout.names), np.zeros(data.layout.size)
     for name, value in constants.items():
         shared[data.layout.size - len(names) + names.index(name)] = value
@@ -130,6 +130,6 @@ def test_corners_with_no_constant_of_a_lens_are_exact():
     robot = TICK_ROBOT
     rows = [row for row in table(robot.rig_cameras, chain_of(robot)) if row.kind == "stereo_clock"]
     data = dataset_of(simulated(robot=robot, stations=4, seed=1), rows)
-    state = initial_state(data, parameters_of(robot), Inliers.all_of(data))
+    state = start_state(data, parameters_of(robot), Inliers.all_of(data))
     off, _ = corner_residuals(state, state.T_c_k, rates=state.view_rates)
     assert np.abs(off).max() < 1e-9

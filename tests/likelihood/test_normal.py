@@ -19,7 +19,7 @@ from mobilecal_cli.likelihood.views import roots, summed
 from mobilecal_cli.model import Board, Noise
 from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.initial import start_state
 from tests import extractions
 from tests.robots import chain_of
 from tests.truth import no_priors, parameters_of
@@ -65,7 +65,7 @@ class Case:
         legs, views, readings = (getattr(everything, name).copy() for name in ("legs", "views", "readings"))
         legs[1 + logs], views[3], readings[4, 0] = False, False, False
         inliers = replace(everything, legs=legs, views=views, readings=readings)
-        truth = initial_state(self.data, parameters_of(robot), everything)
+        truth = start_state(self.data, parameters_of(robot), everything)
         random = np.random.default_rng(0)
         self.width = self.data.base_width
         stations = self.width * STATIONS, self.data.own_width * STATIONS
@@ -202,15 +202,15 @@ def test_a_reading_that_is_left_out_costs_the_gradient_no_digits(case):
     """Of sharp corners, it was rounding: fits never converged, and rounds of noise levels wandered, for 100 s."""
     off_rad = np.zeros_like(case.data.joints)
     off_rad[4, 0] = 0.5  # this reading is no inlier
-    state = initial_state(case.data, parameters_of(PAPER_ROBOT), Inliers.all_of(case.data))
+    state = start_state(case.data, parameters_of(PAPER_ROBOT), Inliers.all_of(case.data))
     own = state.own.copy()
     own[:, JOINTS] = off_rad
     state = replace(state, data=replace(case.data, joints=case.data.joints - off_rad), own=own)
     sharp = replace(NOISE, pixel_px=0.005, joint_rad=1e-4, pair_s=1e-5, shift_px=1e-3)
     lin = Posterior.at(state, case.lin.inliers, sharp, case.lin.priors)
     still = np.zeros(case.sizes[0])
-    best = lin.predicted(eliminated(lin).step(still))
-    again = best.predicted(eliminated(best).step(still))
+    best = lin.extrapolated(eliminated(lin).step(still))
+    again = best.extrapolated(eliminated(best).step(still))
     apart = (eliminated(again).s - eliminated(best).s) / np.sqrt(np.diag(lin.normal.S))
     assert np.abs(apart).max() < 1e-8
 

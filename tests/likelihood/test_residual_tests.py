@@ -26,7 +26,7 @@ def left_out(fit, kind, at):
     inliers = getattr(fit.inliers, kind).copy()
     inliers[at] = False
     lin = fit.lin.with_inliers(replace(fit.inliers, **{kind: inliers}))
-    return getattr(ResidualTests(lin.predicted(proposed(lin)[0])), kind)[at]
+    return getattr(ResidualTests(lin.extrapolated(proposed(lin)[0])), kind)[at]
 
 
 @pytest.mark.parametrize(("kind", "places"), [("legs", [(0,), (4,), (7,)]), ("readings", [(2, 0), (6, 1)])])

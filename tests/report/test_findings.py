@@ -16,7 +16,7 @@ from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.constraints import Constraints, constraints_of
 from mobilecal_cli.solvers.fit import uncertainty_of
 from mobilecal_cli.solvers.inference import Inference
-from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.initial import start_state
 from tests.extractions import simulated
 from tests.judging import judge
 from tests.report.example import (
@@ -129,7 +129,7 @@ def test_the_jackknife_widens_sigmas_that_are_too_small():
     }
     inference = Inference.of(replace(extraction, rig=replace(extraction.rig, noise=given)), Constraints())
     everything = Inliers.all_of(inference.data)
-    state = initial_state(inference.data, right.parameters, everything)
+    state = start_state(inference.data, right.parameters, everything)
     fit = inference.fit(state, everything, inference.first_noise(np.array([given["pixel_px"]])))
     uncertainty = uncertainty_of(fit)
     ratio, usual = uncertainty.jackknife_std / uncertainty.noise_std, 1 + 3.6 / np.sqrt(len(fit.data.legs))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mobilecal_cli.likelihood.constants import FREE, KINDS, kind_of
+from mobilecal_cli.likelihood.constants import FREED_SIGMAS, KINDS, kind_of
 from mobilecal_cli.model import NINE
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.report.motion import missing_motion
@@ -144,7 +144,7 @@ def test_more_stations_do_not_help_against_stated_values():
         assert next_step_of(worst_error(limited, {}), limited, extraction).startswith(advice)
     limited = with_share(solution, "joint_position", 0.9)
     wide = {
-        name: replace(each, prior=FREE * kind_of(each.kind).sigma)
+        name: replace(each, prior=FREED_SIGMAS * kind_of(each.kind).sigma)
         for name, each in solution.constants.items()
         if each.kind == "joint_position"
     }

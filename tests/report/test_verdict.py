@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.likelihood.constants import FREE, kind_of
+from mobilecal_cli.likelihood.constants import FREED_SIGMAS, kind_of
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     CHAIN_ENDS,
@@ -546,7 +546,7 @@ def test_stated_values_that_are_ignored_are_the_cause_where_the_motion_is_enough
     solution, extraction = drawn()
     hidden = np.array([False] + [True] * 8)
     pan = EstimatedConstant(
-        "pan_zero", "joint_zero", "pan", "zero", 0.0, 0.2, FREE * kind_of("joint_zero").sigma
+        "pan_zero", "joint_zero", "pan", "zero", 0.0, 0.2, FREED_SIGMAS * kind_of("joint_zero").sigma
     )
     free = replace(
         with_uncertainty(solution, observable=hidden),

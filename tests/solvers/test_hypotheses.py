@@ -14,7 +14,7 @@ from mobilecal_cli.kinematics import MotionSeen
 from mobilecal_cli.model import SIDES, Nominal, Track, WheelSource
 from mobilecal_cli.simulate.robot import FIXED_CAMERA_ROBOT, TICK_ROBOT
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.hypotheses import FREE, FROZEN, STILL, WHOLE, _free_wheels, _noise_at_rest
+from mobilecal_cli.solvers.hypotheses import FREE_PARTS, FROZEN, STILL, WHOLE, _free_wheels, _noise_at_rest
 from mobilecal_cli.solvers.readings import readings_of
 from mobilecal_cli.solvers.search import Search, _two_boards, other_focal_lengths
 from tests.bench import imperfect
@@ -62,7 +62,7 @@ def test_a_robot_without_joints_has_no_mistake_in_their_readings():
     """A changed wheel was "the joint readings are in degrees": without joints, any such correction changes nothing."""
     robot = FIXED_CAMERA_ROBOT
     readings = readings_of(simulated("standard", NOISE, robot, seed=0))
-    families = [family for stages in (WHOLE, FROZEN, FREE) for stage in stages for family in stage]
+    families = [family for stages in (WHOLE, FROZEN, FREE_PARTS) for stage in stages for family in stage]
     rows = [row.cause for family in families for row in family(readings)]
     assert rows
     assert not [cause for cause in rows if re.search(r"\bjoints?\b", cause)]

@@ -13,7 +13,7 @@ from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import Extraction, Noise, Solution
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.initial import start_state
 from mobilecal_cli.solvers.residuals import _by_point, error_parts, leg_squares
 from tests import extractions
 from tests.bench import imperfect
@@ -31,7 +31,7 @@ def parts_of(extraction: Extraction, solution: Solution, between=None, **levels:
         data, **{name: np.full_like(getattr(data, name), by) for name, by in (between or {}).items()}
     )
     all_of, parameters = Inliers.all_of(data), solution.parameters
-    state = initial_state(data, parameters, all_of)
+    state = start_state(data, parameters, all_of)
     lin = Posterior.at(state, all_of, true, no_priors(data.layout, parameters))
     return error_parts(leg_squares(lin, data, solution.residuals))
 

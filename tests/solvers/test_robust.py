@@ -10,7 +10,7 @@ from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.measured import from_motions
 from mobilecal_cli.solvers import Constraints
 from mobilecal_cli.solvers.inference import Inference
-from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.initial import start_state
 from mobilecal_cli.solvers.robust import _holding, _stepped, _weight, agreeing
 from tests.bench.simulated import spoiled
 from tests.extractions import simulated
@@ -22,7 +22,7 @@ def started(extraction, constraints):
     """A point near the truth, with all measurements."""
     inference = Inference.of(extraction, constraints)
     everything = Inliers.all_of(inference.data)
-    state = initial_state(inference.data, inference.initial(), everything)
+    state = start_state(inference.data, inference.initial(), everything)
     noise = inference.first_noise(np.array([NOISE.pixel_px]))
     return Posterior.at(state, everything, noise, inference.priors(state))
 

@@ -12,7 +12,7 @@ from mobilecal_cli.model import NINE, FixedLink, JointLink, Parameters, WheelTra
 from mobilecal_cli.report.tables import noise
 from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
-from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.initial import start_state
 from mobilecal_cli.solvers.outliers import gross_corners
 from tests.actual import ActualRobot
 from tests.bench import imperfect
@@ -221,7 +221,7 @@ def test_corners_that_only_the_stated_camera_rejects_are_used():
     extraction = simulated(noise=noise, robot=robot, constants={"distortion_left_radial_1": 0.016})
     data = dataset_of(extraction)
     truth = Parameters(robot.T_h_c, robot.wheels)
-    corners, _, _ = gross_corners(initial_state(data, truth, Inliers.all_of(data)))
+    corners, _, _ = gross_corners(start_state(data, truth, Inliers.all_of(data)))
     assert not corners.all()
     found = solve(extraction)
     assert not found.outliers
