@@ -23,18 +23,7 @@ _GROWTH, _LARGEST_FALL = 4.0, 10.0
 _CONVERGED = 1e-10  # of the cost
 _NEAR, _ROUNDING = 1e-4, 1e-12  # 0.01 standard deviations, which the last step removes; and of the cost
 _SLOW = 0.05  # 0.2 standard deviations: after the last allowed step, a smaller gain counts as converged
-# Readings between which others are interpolated give the cost kinks along the clocks' offsets. There steps gain little
-# for long: the optimization ends where they gain less than this (0.03 standard deviations), and no longer ever less by
-# leaps, or where a step that promises less does not help.
-_KINKED, _LEAP = 1e-3, 0.05
-
-
-def _stalls(history: list[float]) -> bool:
-    """Whether the last two steps gained little, and the last not much less than the one before."""
-    if len(history) < 3:
-        return False
-    before, last = history[-3] - history[-2], history[-2] - history[-1]
-    return last < _KINKED and last > _LEAP * before
+_TINY_GAIN = 1e-3  # 0.03 standard deviations: where a step that promises less does not help, none does
 
 
 def proposed(lin: Posterior, damping: float = 0.0) -> tuple[Step, float]:
@@ -109,14 +98,13 @@ def optimize(
             lin = trial
             history.append(lin.cost)
             converged |= trials + 1 == most_steps and history[-2] - lin.cost < _SLOW
-            converged |= _stalls(history)
             # As much smaller as the promise was kept (Nielsen, 1999).
             kept = min((history[-2] - lin.cost) / max(gain, _ROUNDING), 1.0)
             damping *= max(1 / _LARGEST_FALL, 1 - (2 * kept - 1) ** 3)
             damping, growth = 0.0 if damping < _LEAST_DAMPING or converged else damping, _GROWTH
         else:
             damping, growth = damping * growth or _FIRST_DAMPING, growth * _GROWTH
-            if damping > _LARGEST_DAMPING or gain < _KINKED:
+            if damping > _LARGEST_DAMPING or gain < _TINY_GAIN:
                 converged, damping = True, 0.0  # no step helps any more: the minimum, to rounding
                 history.append(lin.cost)
     raise SolveError(
