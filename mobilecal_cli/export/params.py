@@ -24,7 +24,7 @@ from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.text import dump, rendered
 from mobilecal_cli.files.reading import mapping_of, problems_of
-from mobilecal_cli.likelihood.constants import CONSTANTS, KINDS, joint_constants, kind_of
+from mobilecal_cli.likelihood.constants import CONSTANTS, KIND_GROUPS, KINDS, joint_constants, kind_of
 from mobilecal_cli.model import (
     FACTORS,
     NINE,
@@ -298,7 +298,7 @@ def _refuse_unknown(constants: Iterable[str], settings: RigConfig, name: str) ->
     """Refuse a constant that the robot of these settings cannot have: its value would be ignored."""
     chain, cameras = _chain_of(settings), {*settings.cameras.each, settings.cameras.reference or "left"}
     known = [row.name for row in (*CONSTANTS, *(() if chain is None else joint_constants(chain)))]
-    of_head = {"joint_zero", "joint_scale", "joint_axis", "joint_position", "backlash"}
+    of_head = KIND_GROUPS["head"]
     patterns = [
         kind.names if kind.name in of_head else kind.names.replace(".+", f"({'|'.join(cameras)})")
         for kind in KINDS

@@ -120,6 +120,13 @@ KINDS: tuple[Kind, ...] = (
     Kind("backlash", *_ANGLE, 0.1 * _DEGREE, "backlash of a head joint", r"backlash_.+"),
 )
 # fmt: on
+#: Group, as --estimate takes it → its kinds; those of the head depend on its joints, the others on the cameras.
+KIND_GROUPS = {
+    "stereo": ("stereo_rotation", "baseline_direction", "baseline_length"),
+    "lenses": ("focal_length", "focal_aspect", "principal_point", "distortion", "lens_waves"),
+    "board": ("square_size", "square_aspect", "board_bend", "board_shear", "board_corners"),
+    "head": ("joint_zero", "joint_scale", "joint_axis", "joint_position", "backlash"),
+}
 _BY_NAME = {kind.name: kind for kind in KINDS}
 _TOGETHER = {"baseline_length": "square_size"}
 #: Kinds that no description states: no data contradict them.

@@ -9,25 +9,18 @@ from dataclasses import dataclass, field, replace
 
 from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.likelihood.constants import CONSTANTS, KINDS, kind_of
+from mobilecal_cli.likelihood.constants import CONSTANTS, KIND_GROUPS, KINDS, kind_of
 from mobilecal_cli.model import NINE, Nominal
 
 _GROUPS = {"head_eye": NINE[:6], "rotation": NINE[:3], "translation": NINE[3:6], "wheels": NINE[6:]}
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _OFTEN = ("pan_zero", "pan_scale", "tilt_scale", "backlash_pan", "backlash_tilt")
 _KINDS = tuple(kind.name for kind in KINDS)
-#: Group → its kinds of constants, for --estimate.
-_KIND_GROUPS = {
-    "stereo": ("stereo_rotation", "baseline_direction", "baseline_length"),
-    "lenses": ("focal_length", "focal_aspect", "principal_point", "distortion", "lens_waves"),
-    "board": ("square_size", "square_aspect", "board_bend", "board_shear", "board_corners"),
-    "head": ("joint_zero", "joint_scale", "joint_axis", "joint_position", "backlash"),
-}
 #: Option → names that it takes beside those of constants, and groups of names.
 _OPTIONS: Mapping[str, tuple[tuple[str, ...], Mapping[str, tuple[str, ...]]]] = {
     "--fix": (NINE, _GROUPS),
     "--prior": (NINE, {}),
-    "--estimate": (_KINDS, _KIND_GROUPS),
+    "--estimate": (_KINDS, KIND_GROUPS),
 }
 #: A constant is at most so many of its default prior sigmas from its stated value: more is another quantity or unit.
 _MOST_SIGMAS = 20.0
@@ -159,7 +152,7 @@ def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
         return ConfigError(message, "this robot has no such joint: leave it out")
     if near:
         return ConfigError(message, f"did you mean {near[0]}?")
-    names = f"kinds: {', '.join((*_KIND_GROUPS, *_KINDS))}"
+    names = f"kinds: {', '.join((*KIND_GROUPS, *_KINDS))}"
     if flag != "--estimate":
         names = f"parameters: {', '.join(NINE)}"
     return ConfigError(message, f"{names}; docs/reference/rig-yaml.md lists all constants")
