@@ -483,7 +483,8 @@ def joint_sources(config: RigConfig, description: RobotDescription, head: Head) 
         if topic is None:
             raise RecordingError(
                 f"no joint state for {name!r}, a joint between {chain.base_frame} and {chain.head_frame}",
-                f"joints present: {listed(sorted({n for present in stated.values() for n in present}))}",
+                "record it, or set its topic and field in joints.fields in rig.yaml; joints present: "
+                f"{listed(sorted({n for present in stated.values() for n in present}))}",
             )
         sources[name] = topic
     return sources

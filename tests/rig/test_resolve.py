@@ -798,8 +798,9 @@ def test_joints_that_only_tf_tells():
     assert (tilt.topic, tilt.child, tilt.kind) == ("/tf", "tilt", "revolute")
     # Joint states come first, where there are any.
     assert resolve_rig(RigConfig(), description(extra=[TF]))[0].sources.elsewhere == {}
-    with pytest.raises(RecordingError, match="no joint state for 'head_pan_joint'"):
+    with pytest.raises(RecordingError, match="no joint state for 'head_pan_joint'") as caught:
         resolve_rig(RigConfig(), description(joint_names=states))
+    assert "set its topic and field in joints.fields" in caught.value.hint
 
 
 def moving(axis, angles, origin=(0.1, 0.2, 0.3), slides=False):
