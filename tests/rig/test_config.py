@@ -6,32 +6,7 @@ import pytest
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import load_yaml
 from mobilecal_cli.rig import config
-from mobilecal_cli.rig.config import TODO, RigConfig, load_rig, parse_settings, read_urdf, setting_keys
-
-CONTRACT = """
-schema_version: 1
-board: {columns: 9, rows: 6, square_m: 0.08}
-cameras:
-  left:  {image: /stereo/left/image_raw,  info: /stereo/left/camera_info}
-  right: {image: /stereo/right/image_raw, info: /stereo/right/camera_info}
-  reference: left
-  rectified: false
-joints: {topic: /joint_states, pan: head_pan_joint, tilt: head_tilt_joint}
-wheels:
-  left:  {topic: /joint_states, joint: wheel_left_joint}
-  right: {topic: /wheel_ticks/right, field: data, ticks_per_revolution: 4096, bits: 16, sign: 1}
-head:
-  base_frame: base_link
-  head_frame: head_link
-  chain:
-    - {xyz_m: [0.05, 0, 0.9], rpy_rad: [0, 0, 0]}
-    - {joint: head_pan_joint, axis: [0, 0, 1]}
-    - {xyz_m: [0.02, 0, 0.06]}
-    - {joint: head_tilt_joint, axis: [0, 1, 0]}
-nominal:
-  head_eye: {translation_m: [0, 0, 0], quaternion_xyzw: [0, 0, 0, 1]}
-  wheels: {radius_left_m: 0.2, radius_right_m: 0.2, separation_m: 0.5}
-"""
+from mobilecal_cli.rig.config import TODO, load_rig, parse_settings, setting_keys
 
 
 @pytest.fixture
@@ -53,27 +28,6 @@ def test_the_example_of_a_section_is_valid(section):
         {section.example, chain} if section is not config.HeadConfig else {chain, "urdf: robot.urdf"}
     ):
         section.model_validate(load_yaml(example))
-
-
-def test_every_key_is_optional(write):
-    assert load_rig(write("")).model_dump() == RigConfig().model_dump()
-    assert load_rig(None) == RigConfig()
-
-
-def test_flags_lie_over_the_file(write):
-    rig = load_rig(write(CONTRACT), {"board.columns": 8, "wheels.left.sign": -1, "board.square_m": None})
-    assert (rig.board.columns, rig.board.rows, rig.board.square_m) == (8, 6, 0.08)
-    assert (rig.wheels.left.sign, rig.wheels.left.joint, rig.wheels.right.bits) == (
-        -1,
-        "wheel_left_joint",
-        16,
-    )
-    assert rig.head.chain[3].axis == (0, 1, 0)
-    assert rig.nominal.wheels.separation_m == 0.5
-    with pytest.raises(ConfigError, match="not a section"):
-        load_rig(write("board: 5"), {"board.columns": 9})
-    with pytest.raises(ConfigError, match="cannot be read"):
-        load_rig(Path("none.yaml"))
 
 
 @pytest.mark.parametrize(
@@ -159,19 +113,6 @@ def test_bad_files(write, case):
     assert all(hint in caught.value.hint for hint in hints)
 
 
-def test_a_bad_option_is_no_mistake_of_the_file(write):
-    path = write("board: {columns: 9}")
-    for text, flag, where in (("", 80, ""), ("board: {rows: -1}", 80, f"{path}: "), ("", 0.08, None)):
-        path.write_text(text)
-        if where is None:
-            assert load_rig(path, {"board.square_m": flag}).board.square_m == flag
-            continue
-        with pytest.raises(ConfigError) as caught:
-            load_rig(path, {"board.square_m": flag})
-        assert re.match(re.escape(f"{where}board."), caught.value.message)
-        assert "80 looks like millimeters: 0.08 m" in caught.value.message
-
-
 def test_what_a_draft_leaves_to_the_user_is_refused():
     for key, _ in setting_keys():
         with pytest.raises(ConfigError, match=f"not filled in yet: {key}"):
@@ -192,14 +133,6 @@ def test_a_section_as_an_option_is_written_as_one(key, value, hint):
     with pytest.raises(ConfigError, match=f"{key}: a section of keys, not a value") as caught:
         load_rig(None, {key: value})
     assert caught.value.hint.startswith(f"write {hint}")
-
-
-def test_urdf_is_found_beside_the_file(write, tmp_path):
-    (tmp_path / "robot.urdf").write_text("<robot/>")
-    rig = load_rig(write("head: {urdf: robot.urdf}"))
-    assert read_urdf(rig) == "<robot/>"
-    with pytest.raises(ConfigError, match=r"gone\.urdf"):
-        read_urdf(load_rig(write("head: {urdf: gone.urdf}")))
 
 
 def test_settings_are_yaml():

@@ -166,27 +166,6 @@ def test_tick_counters_wait_for_their_resolution(bits, wraps, filled):
         loaded(draft)
 
 
-@pytest.mark.parametrize(
-    "fields",
-    [
-        [
-            counter("left"),
-            counter("right"),
-            *(NumberField(f"/encoder/{s}", "n", True) for s in ("left", "right")),
-        ],
-        [NumberField("/ticks/left", "data", False), NumberField("/ticks/right", "data", False)],
-        [counter("left", jump=4095), counter("right", jump=4095)],
-        [counter("left")],
-    ],
-)
-def test_counters_with_two_answers_are_asked_for(fields):
-    draft = drafted(bare(numbers=tuple(fields)))
-    assert re.search("several numbers|unknown unit|look like tick counters", todo(draft)["wheels"])
-    assert not any(one.key.startswith("wheels") for one in draft.filled)
-    assert len(re.findall("# candidate: topic", draft.text)) == (len(fields) if len(fields) > 1 else 0)
-    loaded(draft)
-
-
 def test_a_joint_in_other_messages_is_asked_for_with_its_candidates():
     names = {"/joint_states": ("wheel_left_joint", "wheel_right_joint", "head_pan_joint")}
     numbers = (NumberField("/tilt_servo", "angle", False),)

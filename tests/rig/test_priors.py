@@ -10,7 +10,7 @@ from mobilecal_cli.model import HeadChain, JointLink
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.draft import draft_rig
 from mobilecal_cli.rig.resolve import survey_rig
-from mobilecal_cli.rig.settings import prior_sigmas, shown_priors
+from mobilecal_cli.rig.settings import prior_sigmas
 from mobilecal_cli.simulate.robot import ROBOTS
 from tests.rig.test_resolve import AT_BASE, config, description, resolve_rig
 
@@ -45,24 +45,6 @@ def test_the_defaults_as_entries_are_the_defaults():
     found = sigmas(**{kind.name: kind.sigma * kind.shown for kind in KINDS})
     of_kinds = {kind.name: kind.sigma for kind in KINDS if kind.name in OF_RECORDINGS}
     assert found == pytest.approx(of_kinds | {name: row.sigma for name, row in ROWS.items()}, rel=1e-12)
-
-
-def test_one_constant_overrides_its_kind_and_that_overrides_all():
-    found = sigmas(all="fixed", focal_length=1, focal_right="free", pan_zero=0.1)
-    assert found.keys() == ROWS.keys() | OF_RECORDINGS
-    assert found["focal_left"] == pytest.approx(0.01)
-    assert math.isinf(found["focal_right"])
-    assert found["pan_zero"] == pytest.approx(math.radians(0.1))
-    others = found.keys() - {"focal_left", "focal_right", "pan_zero"}
-    assert {found[name] for name in others} == {0.0}
-
-
-def test_entries_come_back_for_the_provenance():
-    found = sigmas(all="fixed", focal_length=0.7, lift_zero=0.3, square_scale="free")
-    shown = shown_priors(found, CAMERAS, CHAIN)
-    stated = {"focal_left": 0.7, "lift_zero": 0.3, "square_scale": "free", "stereo_r_x": "fixed"}
-    assert {name: shown[name] for name in stated} == stated
-    assert prior_sigmas(shown, CAMERAS, CHAIN) == pytest.approx(found, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -159,17 +159,6 @@ def test_raw_comes_before_rectified_and_full_before_compressed():
     assert only.sources.info["right"] == "/stereo/right/camera_info"
 
 
-def test_topics_without_messages_are_no_cameras():
-    """A recorder lists the raw images of a driver that publishes compressed ones alone."""
-    empty = [TopicInfo(f"/stereo/{side}/image_raw", "sensor_msgs/msg/Image", 0) for side in ("left", "right")]
-    kind = "sensor_msgs/msg/CompressedImage"
-    log = description((), [*empty, *(TopicInfo(f"{topic.name}/compressed", kind, 9) for topic in empty)])
-    assert resolve_rig(RigConfig(), log)[0].sources.image["left"] == "/stereo/left/image_raw/compressed"
-    named = config(cameras={side: {"image": f"/stereo/{side}/image_raw"} for side in ("left", "right")})
-    with pytest.raises(RecordingError, match="the topic /stereo/left/image_raw contains no images"):
-        resolve_rig(named, log)
-
-
 def two_robots():
     """The topics of one robot, in the namespaces of two; the second has larger wheels."""
     log, robots = description(), ("/robot1", "/robot2")
@@ -360,21 +349,6 @@ def test_wheels_on_a_moving_part_are_noted():
     assert resolve_rig(RigConfig(), description())[1] == ()
 
 
-def test_tick_counters():
-    ticks = tuple(TopicInfo(f"/ticks/{side}", "std_msgs/msg/UInt16", 5) for side in ("left", "right"))
-    wheel = {"field": "data", "ticks_per_revolution": 4096, "bits": 16}
-    wheels = {
-        "left": {"topic": "/ticks/left", **wheel},
-        "right": {"topic": "/ticks/right", **wheel, "sign": -1},
-    }
-    rig = resolve_rig(config(wheels=wheels), description(extra=ticks, joint_names=HEAD_ONLY))[0]
-    assert rig.sources.wheels["right"].sign == -1
-    assert rig.sources.wheels["left"].ticks_per_revolution == 4096
-    with pytest.raises(RecordingError, match="look like tick counters") as caught:
-        resolve_rig(RigConfig(), description(extra=ticks, joint_names=HEAD_ONLY))
-    assert "/ticks/left" in caught.value.message
-
-
 def test_explicit_chain_needs_no_urdf():
     chain = [{"xyz_m": [0, 0, 1]}, {"joint": "head_pan_joint", "axis": [0, 0, 3]}]
     rig = resolve_rig(config(head={"chain": chain, "head_frame": "cam_mount"}), description(urdf=None))[0]
@@ -438,28 +412,6 @@ def test_bad_calibrations(left, right, words_):
         assert "or state cameras.right.pose" in caught.value.hint
 
 
-def test_a_raw_camera_that_was_calibrated_alone_needs_no_p():
-    def alone(topic):
-        info_topic = f"{topic.rsplit('/', 1)[0]}/camera_info"
-        poor = description(images=(topic,), infos={info_topic: info(P=NO_P)})
-        return resolve_rig(SQUARE, poor)[0].cameras
-
-    assert alone("/camera/image_raw").each[0].K[0, 0] == 550.0
-    with pytest.raises(RecordingError, match="the images are rectified, but P in the camera info of"):
-        alone("/camera/image_rect")
-
-
-@pytest.mark.parametrize(
-    ("of_images", "expected"),
-    [({}, "left_optical_frame"), ({"/stereo/left/image_raw": "left_eye"}, "left_eye")],
-)
-def test_a_driver_that_names_no_optical_frame(of_images, expected):
-    infos = {f"/stereo/{side}/camera_info": info(side, frame_id="") for side in ("left", "right")}
-    rig, notes = resolve_rig(config(), description(infos=infos, image_frames=of_images))
-    assert rig.cameras.of_reference.frame_id == expected
-    assert any(expected in note for note in notes) == (not of_images)
-
-
 @pytest.mark.parametrize("of_head", ["tilt", "left_optical_frame"])
 def test_a_driver_that_names_the_head_itself(of_head):
     """The outputs then had a transform from a frame to itself."""
@@ -504,14 +456,6 @@ def test_cameras_of_an_unknown_model_are_refused_and_drafted():
         ("cameras", why.split(";")[0])
     ]
     assert '  left: {image: "/stereo/left/image_raw"' in draft.text
-
-
-def test_hints_list_ten_topics_at_most():
-    many = [TopicInfo(f"/extra{i}", "std_msgs/msg/String", 1) for i in range(40)]
-    with pytest.raises(RecordingError) as told:
-        resolve_rig(RigConfig(), description(images=("/depth/image",), extra=many))
-    assert told.value.hint.count("/extra") <= 10
-    assert "more" in told.value.hint
 
 
 def test_a_wheel_that_drops_is_no_wheel():
@@ -581,21 +525,6 @@ def test_odometry_of_the_wheels_is_preferred(topics, frames, chosen):
     assert resolve_rig(RigConfig(), log)[0].sources.wheels["right"].topic == chosen
 
 
-def test_wheels_of_another_robot_are_not_those_of_the_cameras():
-    images = [f"/two/stereo/{side}/image_raw" for side in ("left", "right")]
-    infos = {f"/two/stereo/{side}/camera_info": info(side) for side in ("left", "right")}
-    log = description(images, odometry("/one/odom", "/two/odom"), joint_names=HEAD_ONLY, infos=infos)
-    assert resolve_rig(RigConfig(), log)[0].sources.wheels["left"].topic == "/two/odom"
-    fields = [(name, side) for name in ("one", "two") for side in ("left", "right")]
-    ticks = tuple(NumberField(f"/{name}/wheel_ticks", f"ticks_{side}", True) for name, side in fields)
-    kinds = [
-        TopicInfo(f"/{name}/wheel_ticks", "irobot_create_msgs/msg/WheelTicks", 9) for name in ("one", "two")
-    ]
-    log = replace(log, numbers=ticks, topics=(*log.topics, *kinds))
-    sources = resolve_rig(RigConfig(), log)[0].sources.wheels
-    assert (sources["left"].topic, sources["left"].field) == ("/two/wheel_ticks", "ticks_left")
-
-
 def test_one_stated_wheel_is_not_completed_by_odometry():
     """The other wheel was that of the odometry, which another driver reads: two sources in one leg."""
     joints = {"/joint_states": (*HEAD_ONLY["/joint_states"], "motor_a", "motor_b")}
@@ -655,23 +584,6 @@ def test_four_wheels_as_configured():
     wheels["right"]["joints"] = ["c", "d"]
     with pytest.raises(ConfigError, match="both read from c on /joint_states"):
         resolve_rig(config(wheels=wheels), description(joint_names={"/joint_states": names}))
-
-
-def test_each_of_four_wheels_may_be_on_a_topic_of_its_own():
-    names = {"/joint_states": (*HEAD_ONLY["/joint_states"], "a", "b"), "/rear": ("a", "b", "c", "d")}
-    wheels = {"left": {"joints": ["a", "c"], "topics": ["/rear", "/rear"]}, "right": {"joints": ["b", "d"]}}
-    sources = resolve_rig(config(wheels=wheels), description(joint_names=names))[0].sources.wheels
-    assert [(part.topic, part.joint) for part in sources["left"].every] == [("/rear", "a"), ("/rear", "c")]
-    assert [part.topic for part in sources["right"].every] == ["/joint_states", "/rear"]
-
-
-def test_counters_of_a_side_wrap_alike():
-    log = counted("fl.ticks", "fr.ticks", "rl.ticks", "rr.ticks")
-    numbers = (replace(number, wraps=16 if number.path == "rl.ticks" else None) for number in log.numbers)
-    stated = {side: {"ticks_per_revolution": 1000} for side in ("left", "right")}
-    sources = resolve_rig(config(wheels=stated), replace(log, numbers=tuple(numbers)))[0].sources.wheels
-    assert {part.field: part.bits for part in sources["left"].every} == {"fl.ticks": 16, "rl.ticks": 16}
-    assert [part.bits for part in sources["right"].every] == [None, None]
 
 
 @pytest.mark.parametrize(
@@ -882,17 +794,6 @@ def test_a_joint_behind_the_head_that_mimics_one_of_it_moves_the_camera():
         assert (chain.head_frame, chain.joints) == (head, ("head_pan_joint", "head_tilt_joint"))
 
 
-def test_a_camera_driver_publishes_the_frames_that_the_urdf_lacks():
-    urdf = AT_BASE.replace("</robot>", joint_of("mount", "tilt", "stereo_link") + "</robot>")
-    frames = {
-        ("stereo_link", "stereo_left_optical"): moving((0, 0, 1), np.zeros(2)),
-        ("elsewhere", "pan"): moving((0, 0, 1), np.zeros(2)),
-    }
-    rig, _ = resolve_rig(RigConfig(), description(urdf=urdf, transforms=frames))
-    assert rig.nominal.T_h_reference[:3, 3] == pytest.approx([0.1, 0.2, 0.3])
-    assert rig.chain.joints == ("head_pan_joint", "head_tilt_joint")
-
-
 @pytest.mark.parametrize("prefix", ["", "robot1/"])
 def test_transforms_have_the_frame_prefix_of_robot_state_publisher(prefix):
     """Joints that are in the transforms alone were refused, and so was a camera on the base."""
@@ -945,13 +846,6 @@ def test_odometry_shows_where_the_axle_is_if_the_urdf_does_not():
         assert any("frame is on the axle" in note for note in notes) == bool(x_m)
     _, notes = resolve_rig(RigConfig(), description(urdf=bare))
     assert any("base_link is taken as midway between them" in note for note in notes)
-
-
-def test_wheels_that_the_urdf_names_otherwise_are_no_further_ones():
-    names = {"/joint_states": ("left_wheel", "right_wheel", "head_pan_joint", "head_tilt_joint")}
-    rig, _ = resolve_rig(RigConfig(), description(joint_names=names))
-    assert not rig.sources.several_wheels
-    assert rig.nominal.wheels.separation_m == 0.5
 
 
 def test_a_camera_on_the_base_is_in_its_frame():
