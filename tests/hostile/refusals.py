@@ -183,15 +183,11 @@ def repeated_metadata(folder: Path) -> None:
     text("bag/metadata.yaml", f"rosbag2_bagfile_information:\n  relative_file_paths: [{names}]\n")(folder)
 
 
-def encoded(kind: str) -> Callable[[], bytes]:
-    """A gray image as Pillow writes it."""
-
-    def data() -> bytes:
-        stream = io.BytesIO()
-        Image.new("L", (640, 480), 120).save(stream, kind)
-        return stream.getvalue()
-
-    return data
+def webp() -> bytes:
+    """A gray image that Pillow writes as WebP."""
+    stream = io.BytesIO()
+    Image.new("L", (640, 480), 120).save(stream, "WEBP")
+    return stream.getvalue()
 
 
 def fifo(folder: Path) -> None:
@@ -220,36 +216,23 @@ READ = ("calibrate", "log.mcap", "-o", "out")
 BAG = ("calibrate", "bag", "-o", "out")
 LINEAR = ("--method", "linear")  # fast, where the input alone matters
 RIG = ("calibrate", LOG, "--config", "rig.yaml", "-o", "out")
-RADII = "{radius_left_m: %s, radius_right_m: 0.1, separation_m: 0.5}"
 
 CASES = (
     Case("`--square-m inf`", ("calibrate", LOG, "--square-m", "inf"), 2, "board.square_m: must be from 0.0001 to 10 m"),
     Case("`--square-m 80`, millimeters", ("calibrate", LOG, "--square-m", "80"), 2, "80 looks like millimeters: 0.08 m"),
     Case("`--square-m 8`, centimeters", ("calibrate", LOG, "--square-m", "8"), 4, "the squares are 0.08 m wide at the median of 12 measurements, but board.square_m is 8 m"),
-    Case("`--square-m 3.15`, inches", ("calibrate", LOG, "--square-m", "3.15"), 4, "the squares are 0.08 m wide at the median of 12 measurements, but board.square_m is 3.15 m"),
     Case(
         "`nominal.wheels` in millimeters", RIG, 2, "nominal.wheels.radius_left_m: must be from 0.001 to 10 m; 97.5 looks like millimeters: 0.0975 m",
-        text("rig.yaml", f"nominal: {{wheels: {RADII % '97.5'}}}"),
-    ),
-    Case(
-        "`nominal.wheels` of 1e300 m", RIG, 2, "nominal.wheels.radius_left_m: must be from 0.001 to 10 m",
-        text("rig.yaml", f"nominal: {{wheels: {RADII % '1e300'}}}"),
-    ),
-    Case(
-        "`radius_left_m: true` in rig.yaml", RIG, 2, "radius_left_m: must be a valid number (got True)",
-        text("rig.yaml", f"nominal: {{wheels: {RADII % 'true'}}}"),
+        text("rig.yaml", "nominal: {wheels: {radius_left_m: 97.5, radius_right_m: 0.1, separation_m: 0.5}}"),
     ),
     Case("`--fix radius_left=0`", (*SOLVE, "--fix", "radius_left=0"), 2, "0 m is not possible (range 0.001 to 10 m)", extraction),
-    Case("`--fix radius_left=-0.2`", (*SOLVE, "--fix", "radius_left=-0.2"), 2, "-0.2 m is not possible", extraction),
     Case("`--fix square_scale=0.08`, the size in meters", (*SOLVE, "--fix", "square_scale=0.08"), 2, "0.08 of the stated value is not possible (range -0.02 to 0.02", extraction),
     Case("`--fix pan_zero=5`, degrees", (*SOLVE, "--fix", "pan_zero=5"), 2, "5 looks like degrees: 0.08727 rad", extraction),
-    Case("`--fix t_x=1e300`", (*SOLVE, "--fix", "t_x=1e300"), 2, "1e+300 m is not possible (range -20 to 20 m)", extraction),
     Case(
         "`--prior t_x=0.1±1e-300`", (*SOLVE, "--prior", "t_x=0.1±1e-300"), 2,
         "standard deviation: 1e-300 is not possible (range 1e-09 to 1000)", extraction,
     ),
     Case("`SOURCE_DATE_EPOCH` is a word", SOLVE, 2, "SOURCE_DATE_EPOCH", extraction, {"SOURCE_DATE_EPOCH": "today"}),
-    Case("`SOURCE_DATE_EPOCH` is too large", SOLVE, 2, "SOURCE_DATE_EPOCH", extraction, {"SOURCE_DATE_EPOCH": "9" * 30}),
     Case("`SOURCE_DATE_EPOCH` is empty: the time is used", SOLVE, 0, "PASS", extraction, {"SOURCE_DATE_EPOCH": ""}),
     Case(
         "both wheels are the same joint", ("calibrate", LOG, "--set", "wheels.left.joint=wheel_right_joint", "-o", "out"), 2,
@@ -270,21 +253,17 @@ CASES = (
     ),
     Case("a joint reads 1e300 in every second message: dropped", (*READ, *LINEAR), 0, "PASS", positions(head_pan_joint=1e300)),
     Case("a URDF with a wheel radius of 1e-300 m", READ, 2, "cylinder radius: 1e-300 m is not possible", urdf('radius="0.225"', 'radius="1e-300"')),
-    Case("a URDF with a negative wheel radius", READ, 2, "cylinder radius: -0.1 m is not possible", urdf('radius="0.225"', 'radius="-0.1"')),
     Case("a URDF with an origin at 1e300 m", READ, 2, "origin xyz: 1e+300 m is not possible", urdf('xyz="0.04 0.0', 'xyz="1e300 0.0')),
     Case("JPEG images of 1 x 65500 pixels", READ, 3, "images are 1 x 65500 pixels, but their camera_info states 640 x 480", pictures(tall_jpeg)),
     Case("the left images are mirrored", READ, 4, "the images of the left camera are mirrored", pixels(IMAGES[:1], lambda p: p[:, ::-1])),
     Case("PNG images of 8190 x 8190 pixels", READ, 3, "image size 8190x8190 exceeds the limit", pictures(large_png)),
-    Case("WebP images", READ, 3, "that begin with b'RIFF", pictures(encoded("WEBP"))),
-    Case("WebP images, with `--board`", (*READ, "--board", "8x6"), 3, "that begin with b'RIFF", pictures(encoded("WEBP"))),
-    Case("TIFF images", READ, 3, "that begin with b'II*", pictures(encoded("TIFF"))),
-    Case("SVG images", READ, 3, "that begin with b'<?xml versio'", pictures(lambda: b"<?xml version='1.0'?>\n<svg width='640'/>")),
+    Case("WebP images", READ, 3, "that begin with b'RIFF", pictures(webp)),
+    Case("WebP images, with `--board`", (*READ, "--board", "8x6"), 3, "that begin with b'RIFF", pictures(webp)),
     Case("log times beyond 2^63 ns", READ, 3, "/stereo/left/camera_info: none of its 24 messages can be read", far_future),
     Case("text for times in a database", BAG, 3, "/stereo/left/camera_info: none of its 24 messages can be read", database("UPDATE messages SET timestamp='late'")),
     Case("text for messages in a database", BAG, 3, "/stereo/left/camera_info: none of its 24 messages can be read", database("UPDATE messages SET data='text'")),
     Case("metadata.yaml names one file 6,000 times: read once", (*BAG, *LINEAR), 0, "PASS", repeated_metadata),
     Case("camera_info: distortion model `double_sphere`", READ, 3, "unknown distortion model 'double_sphere'", infos(distortion_model=lambda _: "double_sphere")),
-    Case("camera_info: distortion model `omni`", READ, 3, "unknown distortion model 'omni'", infos(distortion_model=lambda _: "omni")),
     Case("camera_info: a focal length of 1e-9 px", READ, 3, "K: fx is 1e-09 (range 1 to 1e+06 px)", infos(k=at(0, 1e-9))),
     Case("camera_info: fy 10 times fx", READ, 3, "K: fx / fy is 0.1", infos(k=lambda k: at(4, 10 * k[0])(k))),
     Case("camera_info: principal point at -5000 px", READ, 3, "K: principal point cx over the image size 640 is -7.8125", infos(k=at(2, -5000.0))),
@@ -297,16 +276,13 @@ CASES = (
     Case("camera_info: image size 0", READ, 2, "the image size is 0 x 0 pixels", infos(width=lambda _: 0, height=lambda _: 0)),
     Case("a named pipe as the recording", ("calibrate", "fifo.mcap"), 3, "fifo.mcap: not a regular file", fifo),
     Case("a named pipe as the URDF", ("init", LOG, "--urdf", "fifo.mcap"), 2, "fifo.mcap: cannot be read: not a regular file", fifo),
-    Case("a directory as the configuration", ("calibrate", LOG, "--config", "."), 2, ".: a directory, not a rig.yaml"),
     Case("`--hold-out 25`, percent", (*SOLVE, "--hold-out", "25"), 2, "--hold-out: 25 of the stations is not possible (range 0.0001 to 0.8 of the stations)", extraction),
-    Case("`--hold-out 0`", (*SOLVE, "--hold-out", "0"), 2, "--hold-out: 0 of the stations is not possible (range 0.0001 to 0.8 of the stations)", extraction),
     Case("`--square-m abc`", ("calibrate", LOG, "--square-m", "abc"), 2, "error: --square-m: must be a valid number (got 'abc')"),
     Case("an unknown format", ("export", "params.yaml", "--to", "csv"), 2, "error: --to: 'csv' is not one of 'camchain', 'camera_info',"),
     Case("an unknown option", ("calibrate", LOG, "--foo"), 2, "error: no such option: --foo"),
     Case("an unknown command", ("calibrat", LOG), 2, "error: no such command 'calibrat'. Did you mean 'calibrate'?"),
     Case("no recording", ("calibrate",), 2, "error: missing argument 'logs'"),
     Case("a recording as the configuration", ("calibrate", LOG, "--config", LOG), 2, ": a recording, not a rig.yaml"),
-    Case("a result as the configuration", ("calibrate", LOG, "--config", "params.yaml"), 2, "params.yaml: a params.yaml, the result of a calibration; a rig.yaml is expected", text("params.yaml", "head_eye: {}\nprovenance: {}\n")),
     Case("`evaluate` with swapped arguments", ("evaluate", "params.yaml", LOG), 2, ": a recording, not a params.yaml"),
     Case("`compare` with a recording", ("compare", LOG, LOG), 2, ": a recording, not a params.yaml"),
     Case("`export` of a directory", ("export", ".", "--to", "json"), 2, ".: a directory, not a params.yaml"),
@@ -318,11 +294,9 @@ CASES = (
     Case("rig.yaml in UTF-16", RIG, 2, "rig.yaml: not UTF-8 text (but UTF-16)", lambda folder: Path(folder, "rig.yaml").write_text("board: {}", encoding="utf-16") and None),
     Case("an image as the URDF", ("init", LOG, "--urdf", "a.urdf"), 2, "a.urdf: not UTF-8 text (byte 0)", lambda folder: Path(folder, "a.urdf").write_bytes(b"\x89PNG") and None),
     Case("a web page as the URDF", ("calibrate", LOG, "--set", "head.urdf=a.urdf"), 2, "URDF: not valid XML: it has a document type; it begins with '<!DOCTYPE html>", lambda folder: Path(folder, "a.urdf").write_text("<!DOCTYPE html><html>\n") and None),
-    Case("a setting without a value", ("calibrate", LOG, "--set", "board.columns="), 2, "--set board.columns=: not KEY=VALUE"),
     Case("a setting twice", ("calibrate", LOG, "--set", "board.rows=6", "--set", "board.rows=5"), 2, "--set board.rows: given twice, as 6 and 5"),
     Case("one recording twice", ("calibrate", LOG, LOG), 2, "paper_robot.mcap is given twice"),
     Case("one recording twice, `inspect`", ("inspect", LOG, LOG), 2, "paper_robot.mcap is given twice"),
-    Case("one recording twice, `init`", ("init", LOG, LOG), 2, "paper_robot.mcap is given twice"),
     Case("an empty argument", ("calibrate", ""), 2, "an argument is empty"),
     Case("`suggest` with an unknown gate", ("suggest", "e.npz", "--set", "gates.foo=1"), 2, "gates.foo: unknown figure", extraction),
     Case("no format", ("export", "params.yaml"), 2, "Choose from: camchain, camera_info,"),
@@ -334,15 +308,11 @@ CASES = (
     Case("`export` of two formats", ("export", "params.yaml", "--to", "xacro", "--to", "json"), 2, "--to xacro --to json: more than one format"),
     Case("the output exists", (*SOLVE,), 7, "out: already exists", lambda folder: (extraction(folder), (folder / "out").mkdir(), None)[-1]),
     Case("the output is the directory that is read", ("calibrate", "out/extraction.npz", "-o", "out", "--force"), 7, "out: this command reads out/extraction.npz", result),
-    Case("an export in place of the measurements of a calibration", ("export", "out/params.yaml", "--to", "json", "-o", "out/extraction.npz", "--force"), 7, "out/extraction.npz: a file of a calibration, which is only replaced as a whole", result),
     Case("the directory of the JUnit file does not exist", (*SOLVE, "--junit", "no/j.xml"), 7, "no is not a directory", extraction),
     Case("the JUnit file is inside the output", (*SOLVE, "--junit", "out/j.xml"), 7, "--junit out/j.xml: inside --output out", extraction),
     Case("JUnit on standard output", (*SOLVE, "--junit", "-"), 7, "-: not a name for this output", extraction),
     Case("one file for JUnit and the summary", (*SOLVE, "--junit", "j.xml", "--summary", "./j.xml"), 7, "--junit j.xml: also the path of --summary", extraction),
-    Case("the summary is inside the output", (*SOLVE, "--summary", "out/j.md"), 7, "--summary out/j.md: inside --output out", extraction),
     Case("JUnit in place of the table of all robots", ("batch", ".", "-o", "out", "--junit", "out/summary.csv"), 7, "--junit out/summary.csv: also the path of summary.csv"),
-    Case("`evaluate` without params.yaml", ("evaluate", "log.mcap"), 2, "log.mcap: the only path given; evaluate needs a recording and a params.yaml"),
-    Case("a name of 300 bytes as the output", (*SOLVE[:2], "-o", "x" * 300), 7, "File name too long", extraction),
 )  # fmt: skip
 
 
