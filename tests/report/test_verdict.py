@@ -465,7 +465,8 @@ def test_many_rejections_are_worth_a_look(solution, extraction):
     assert "Rejected stations: 28 of 40 (most often: board partly hidden)." in verdict.next_step
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(3))
 def test_loose_head_joints(seed):
     # With so much noise, a part of the head-eye transform is unobservable and needs a nominal value.
     extraction = with_nominal(make_extraction(seed=seed), Nominal(ROBOT.T_h_c, WHEELS))

@@ -154,9 +154,7 @@ MISTAKES = {name: (WRONG[name].change, cause) for name, cause in CAUSES.items()}
         "on, the left wheel's encoder has the wrong",
     ),
 }
-#: Found by the solver in a second; it takes longer to give up on the others, in the long tests.
-SOLVED = ("right wheel frozen",)
-#: One of each kind of the others, named by the diagnosis in every run.
+#: One of each kind, named by the diagnosis in every run.
 QUICK = (
     "both images of the previous station",
     *("left wheel 3 s late", "images 2 s early", "both wheels frozen", "signs of both joints"),
@@ -232,9 +230,8 @@ def test_a_reading_that_never_changes_is_named_without_a_nominal_camera(recorded
         assert CAUSES[name] in found.cause
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.long] * (name not in SOLVED)) for name in MISTAKES]
-)
+@pytest.mark.long  # of motions: tests/solvers/test_measured.py
+@pytest.mark.parametrize("name", MISTAKES)
 def test_the_solver_names_the_mistake(recorded, name):
     spoil, cause = MISTAKES[name]
     spoilt = spoil(recorded)

@@ -457,18 +457,6 @@ def on_a_circle(T_v_c, seed):
     [
         (
             PAPER_ROBOT,
-            se3.inverse,
-            "PASS",
-            "T_h_c looks like the inverse, the pose of the head in the sensor",
-        ),
-        (
-            PAPER_ROBOT,
-            lambda T: T @ se3.inverse(OPTICAL),
-            "PASS",
-            "looks like the pose of the sensor's body frame",
-        ),
-        (
-            PAPER_ROBOT,
             lambda T: T @ OPTICAL,
             "PASS",
             "T_h_c looks like the pose of an optical frame (z forward), not",
