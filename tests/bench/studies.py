@@ -9,7 +9,7 @@ from importlib import import_module
 from tests.bench.study import Study, conditions
 
 STUDIES = (
-    *("table1", "samples", "fleet", "memory", "large", "real_pairs", "wheels_alone"),
+    *("table1", "samples", "memory", "large", "real_pairs", "wheels_alone"),
     *("drawn", "configurations", "geometry", "used", "odometry", "one_thing", "correlated", "jumps", "invariance", "physics"),
     *("degenerate", "moving", "monte_carlo", "robust"),  # robots exactly as described
 )  # fmt: skip
