@@ -4,11 +4,13 @@ Also the imperfections that `mobilecal simulate` does not render: noise of the m
 that change with the driven distance, exposure during motion, and what no constant of the estimator describes.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
+from scipy.signal import lfilter
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
@@ -43,7 +45,7 @@ from tests.actual import (
 )
 from tests.robots import corners_of, hidden, rig_of
 
-_TRACK_STEP_S = 0.02
+_TRACK_STEP_S, _FILTER_STEP_S = 0.02, 0.001
 _UNIT_SIGMA_PX = 0.05  # typical refinement error; only a weight if there is no noise
 _NOTHING_PX = 1e-6
 _WAVES = 200  # of a floor that is a function of the place
@@ -67,6 +69,7 @@ class Outside:
         lens_seed: see there.
         turn_sides: relative change of the separation in turns to the left, and its negative in those to the right.
         wheel_delay_s: delay of the right wheel's readings.
+        wheel_smoothing_s: time of a low-pass that the wheels' readings went through.
         drift: the floor carries the base along x and y of the world, m per m that the wheels roll.
     """
 
@@ -82,6 +85,7 @@ class Outside:
     lens_seed: int = 0
     turn_sides: float = 0.0
     wheel_delay_s: float = 0.0
+    wheel_smoothing_s: float = 0.0
     drift: tuple[float, float] = (0.0, 0.0)
 
 
@@ -175,6 +179,19 @@ def driven_m(actual: OutsideRobot, route: Route, times_s: FloatArray) -> FloatAr
     return np.asarray(np.interp(times_s, moments, np.concatenate([[0.0], np.cumsum(rolled)])))
 
 
+def _smoothed(moments: FloatArray, angles: FloatArray, time_s: float) -> FloatArray:
+    """Angles (n, 2) after a first-order low-pass."""
+    even = np.arange(moments[0], moments[-1] + _FILTER_STEP_S, _FILTER_STEP_S)
+    share = 1 - math.exp(-_FILTER_STEP_S / time_s)
+    smooth = [
+        lfilter([share], [1, share - 1], np.interp(even, moments, angle - angle[0])) for angle in angles.T
+    ]
+    return np.stack(
+        [np.interp(moments, even, each) + angle[0] for each, angle in zip(smooth, angles.T, strict=True)],
+        axis=1,
+    )
+
+
 def _wheel_track(
     actual: OutsideRobot, route: Route, stamps_s: FloatArray, noise: Noise, random: np.random.Generator
 ) -> WheelTrack:
@@ -188,6 +205,8 @@ def _wheel_track(
     further = np.cumsum(actual.outside.turn_sides / 2 * np.abs(turned))[:, None]
     angles = angles + further * [1.0, -1.0]
     angles[:, 0] = np.interp(moments - actual.outside.wheel_delay_s, moments, angles[:, 0])
+    if actual.outside.wheel_smoothing_s:
+        angles = _smoothed(moments, angles, actual.outside.wheel_smoothing_s)
     leg = np.searchsorted(stamps_s, moments[:-1], side="right")
     if noise.wheel_length_m:  # the scale error changes after so much driven distance, not from leg to leg
         rolled_m = driven_m(actual, route, np.clip((moments[:-1] + moments[1:]) / 2, 0, route.duration_s))

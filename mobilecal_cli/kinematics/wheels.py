@@ -20,7 +20,8 @@ _MOST_PARTS = 30  # steps in the smallest change
 _CHANGES_TRIED = 500  # enough to find no divisor of smooth readings, and fast
 _BY_CHANCE = 1e-3  # probability
 _FEW_STEPS = 2.5  # between two readings: their middle is nearer to the truth than they are
-_RATE_NS = 50_000_000  # rates are means over this time to either side
+# Rates are means over the first to either side; accelerations over the second, as steps of encoders count twice there.
+_RATE_NS, _ACCELERATION_NS = 50_000_000, 100_000_000
 _SLOW = 0.2  # of the mean turning rate
 _SMALL = 0.1  # rad; below this the series' error (h^10 / 11!) is less than one ulp
 
@@ -36,19 +37,24 @@ class Increments:
         right_rad, left_rad: (n,) rotation in each step.
         leg: (n,) leg of each step, not decreasing.
         legs: number of legs; a leg without motion has no steps.
-        rates: (n, 2, 2) at the start and the end of each step, of the right and left wheel, rad/s; NaN where they are
-            unknown, by default everywhere.
+        motion: (n, 2, 2, 2) at the start and the end of each step, rates and accelerations of the right and left wheel,
+            rad/s and rad/s^2; NaN where they are unknown, by default everywhere.
     """
 
     right_rad: FloatArray
     left_rad: FloatArray
     leg: IntArray
     legs: int
-    rates: FloatArray = field(default_factory=lambda: np.zeros(0))
+    motion: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        if not len(self.rates):
-            object.__setattr__(self, "rates", np.full((len(self.leg), 2, 2), np.nan))
+        if not len(self.motion):
+            object.__setattr__(self, "motion", np.full((len(self.leg), 2, 2, 2), np.nan))
+
+    @property
+    def changes(self) -> FloatArray:
+        """(2, n, 2) growth of the rates and accelerations of the right and left wheel in each step; 0 if unknown."""
+        return np.asarray(np.moveaxis(np.nan_to_num(self.motion[:, 1] - self.motion[:, 0]), 1, 0))
 
     def unevenness(self, of: Unevenness) -> FloatArray:
         """(n,) how a step differs from the mean turn (all weighted with the turns); 0 where its rate is unknown.
@@ -57,7 +63,7 @@ class Increments:
             of: "rate", the turning rate over its mean, less 1, at most 1; "side", 1 to the left and -1 to the right,
                 less in slow turns, whose side is noise, minus its mean.
         """
-        rate = np.mean(self.rates @ [1.0, -1.0], axis=1)
+        rate = np.mean(self.motion[:, :, 0] @ [1.0, -1.0], axis=1)
         known = np.isfinite(rate)
         turned = np.abs(self.right_rad - self.left_rad) * known
         rate = np.where(known, rate, 0.0)
@@ -83,7 +89,7 @@ class Increments:
         number[legs] = np.arange(len(legs))
         kept = number[self.leg] >= 0
         steps = (self.right_rad[kept], self.left_rad[kept], number[self.leg[kept]])
-        return Increments(*steps, len(legs), self.rates[kept])
+        return Increments(*steps, len(legs), self.motion[kept])
 
     def with_ends(self, start_rad: FloatArray, end_rad: FloatArray) -> Increments:
         """Increments with one more step at the start and end of every leg: (legs, 2) each, right and left, rad."""
@@ -92,9 +98,9 @@ class Increments:
         order = np.argsort(leg, kind="stable")
         right = np.concatenate([start_rad[:, 0], self.right_rad, end_rad[:, 0]])
         left = np.concatenate([start_rad[:, 1], self.left_rad, end_rad[:, 1]])
-        unknown = np.full((self.legs, 2, 2), np.nan)
-        rates = np.concatenate([unknown, self.rates, unknown])
-        return Increments(right[order], left[order], leg[order], self.legs, rates[order])
+        unknown = np.full((self.legs, *self.motion.shape[1:]), np.nan)
+        motion = np.concatenate([unknown, self.motion, unknown])
+        return Increments(right[order], left[order], leg[order], self.legs, motion[order])
 
 
 def encoder_step_rad(readings_rad: FloatArray) -> float:
@@ -175,13 +181,13 @@ def between_steps(track: Track, step_rad: float) -> Track:
     return Track(track.time_ns, np.interp(offsets, at[order], values[order]))
 
 
-def cut_at(track: WheelTrack, times_ns: IntArray, rates: bool = False) -> Increments:
+def cut_at(track: WheelTrack, times_ns: IntArray, motion: bool = False) -> Increments:
     """Increments of a wheel track, split at the stations' times and at the readings of either wheel.
 
     Args:
         track: both wheels of one recording.
         times_ns: (N,) increasing, inside the time that both wheels cover.
-        rates: with the wheels' rates, which take as long as all else.
+        motion: with the wheels' rates and accelerations, which take longer than all else.
 
     Returns:
         Steps of the N - 1 legs between consecutive stations. Steps at rest are omitted.
@@ -194,21 +200,29 @@ def cut_at(track: WheelTrack, times_ns: IntArray, rates: bool = False) -> Increm
     leg = np.searchsorted(times_ns, moments[:-1], side="right") - 1
     moved = (right != 0) | (left != 0)
     of_steps = np.zeros(0)
-    if rates:
-        at_moments = _rates(track, moments)
+    if motion:
+        at_moments = _motion(track, moments)
         of_steps = np.stack([at_moments[:-1], at_moments[1:]], axis=1)
-        moved |= np.any(of_steps != 0, axis=(1, 2))
+        moved |= np.any(of_steps != 0, axis=(1, 2, 3))
         of_steps = of_steps[moved]
     return Increments(right[moved], left[moved], leg[moved], len(times_ns) - 1, of_steps)
 
 
-def _rates(track: WheelTrack, moments_ns: IntArray) -> FloatArray:
-    """(n, 2) rates of the right and left wheel around some moments, rad/s."""
-    before, after = (
-        np.clip(moments_ns + way * _RATE_NS, track.time_ns[0], track.time_ns[-1]) for way in (-1, 1)
-    )
-    turned = np.stack([wheel.at(after) - wheel.at(before) for wheel in (track.right, track.left)], axis=1)
-    return np.asarray(turned / np.maximum((after - before) * 1e-9, 1e-9)[:, None])
+def _motion(track: WheelTrack, moments_ns: IntArray) -> FloatArray:
+    """(n, 2, 2) rates and accelerations of the right and left wheel around some moments, rad/s and rad/s^2."""
+    out = np.empty((len(moments_ns), 2, 2))
+    for k, width_ns in enumerate((_RATE_NS, _ACCELERATION_NS)):
+        before, after = (
+            np.clip(moments_ns + way * width_ns, track.time_ns[0], track.time_ns[-1]) for way in (-1, 1)
+        )
+        span_s = np.maximum((after - before) * 1e-9, 1e-9)
+        for side, wheel in enumerate((track.right, track.left)):
+            last, first = wheel.at(after), wheel.at(before)
+            if k == 0:
+                out[:, k, side] = (last - first) / span_s
+            else:
+                out[:, k, side] = 4 * (last - 2 * wheel.at(moments_ns) + first) / span_s**2
+    return out
 
 
 def join(parts: list[Increments]) -> Increments:
@@ -219,7 +233,7 @@ def join(parts: list[Increments]) -> Increments:
         np.concatenate([part.left_rad for part in parts]),
         np.concatenate([part.leg + offset for part, offset in zip(parts, offsets[:-1], strict=True)]),
         int(offsets[-1]),
-        np.concatenate([part.rates for part in parts]),
+        np.concatenate([part.motion for part in parts]),
     )
 
 

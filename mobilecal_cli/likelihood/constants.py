@@ -28,6 +28,7 @@ from mobilecal_cli.likelihood.effects import (
     ImageEffect,
     JointReading,
     WheelDelay,
+    WheelSmoothing,
     Widening,
     bent,
     resized,
@@ -117,6 +118,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("turn_slip", *_SHARE, 0.03, "effective wheel separation at twice the mean turning rate (four wheels)"),
     Kind("turn_sides", *_SHARE, 0.002, "effective wheel separation in left turns against the mean of all turns"),
     Kind("wheel_delay", *_TIME, 0.001, "delay of the right wheel's readings against the left one's"),
+    Kind("wheel_smoothing", "s^2", "ms^2", 1e6, 5e-4, "smoothing of the wheels' readings, square of its time"),
     Kind("backlash", *_ANGLE, 0.1 * _DEGREE, "backlash of a head joint", r"backlash_.+"),
 )
 # fmt: on
@@ -132,7 +134,7 @@ _TOGETHER = {"baseline_length": "square_size"}
 #: Kinds that no description states: no data contradict them.
 UNSTATED = frozenset({"board_corners", "floor_drift", "floor_shape", "lens_waves"})
 #: Kinds whose expected value is assumed where nobody states it: what the data show instead is no fault of the robot.
-ASSUMED = frozenset({"readout"})
+ASSUMED = frozenset({"readout", "wheel_smoothing"})
 #: Kinds of errors of many numbers, see `patterns`: estimated, but never part of an exported camera or board.
 PATTERNS = frozenset({"board_corners", "lens_waves"})
 #: Kinds of which each recording has rows of its own, beside those of `table`.
@@ -255,6 +257,8 @@ def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
         _row("turn_sides", "turn_sides", "wheels", "effective separation in left turns", Widening("side")),
         _row("wheel_delay", "wheel_delay", "wheels", "delay of the right wheel's readings against the left one's",
              WheelDelay()),
+        _row("wheel_smoothing", "wheel_smoothing", "wheels", "smoothing of the readings, square of its time",
+             WheelSmoothing()),
         *_of_cameras(_DELAYS, names, but=1),
         _row("readout", "readout", every, "time between the first and the last row",
              CameraEffect("readout_s", (1.0,), None)),

@@ -456,5 +456,24 @@ class WheelDelay(Rolling):
 
     def by_value(self, steps: Increments, value: float) -> FloatArray:
         """(2, n) derivative of it by the value."""
-        hastened = np.nan_to_num(steps.rates[:, 1] - steps.rates[:, 0])  # of unknown rates, 0
-        return np.asarray(hastened.T * [[0.5], [-0.5]])
+        return np.asarray(steps.changes[0].T * [[0.5], [-0.5]])
+
+
+@dataclass(frozen=True, slots=True)
+class WheelSmoothing(Rolling):
+    """Variance of the window over which a driver smooths the wheels' readings, s^2; the square of a low-pass time.
+
+    With a window of variance v around a delay that is the clock's, a reading is ``phi + v / 2 phi''`` to second order.
+    """
+
+    def offered(self, data: Measurements) -> bool:
+        """Only stations in motion show it."""
+        return bool(_in_motion(data).any()) and not data.motions
+
+    def further(self, steps: Increments, value: float) -> FloatArray:
+        """(2, n) what the wheels turn more than is read, for a smoothing."""
+        return value * self.by_value(steps, value)
+
+    def by_value(self, steps: Increments, value: float) -> FloatArray:
+        """(2, n) derivative of it by the value."""
+        return np.asarray(-steps.changes[1].T / 2)

@@ -123,7 +123,7 @@ def steps_between(tracks: Sequence[WheelTrack], log: IntArray, stamps_ns: IntArr
     for number, track in enumerate(tracks):
         times = stamps_ns[log == number]
         if len(times) > 1:
-            parts.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1]), rates=True))
+            parts.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1]), motion=True))
     return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
 
 

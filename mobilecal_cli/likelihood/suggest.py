@@ -31,7 +31,8 @@ _TURNS_DEG = (0, -50, -25, 25, 50)
 _DRIVES_M = (0.0, -0.3, 0.6)
 #: Where the board is in the first camera's image, from its middle, in shares of what the board leaves free there.
 _LOOKS = ((0.0, 0.0), (-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7), (0.7, 0.7))
-_PIECES = 20  # readings of the wheels while the robot turns, drives and turns
+# Readings of the wheels while the robot turns, drives and turns, and the time between them.
+_PIECES, _PIECE_NS = 20, 100_000_000
 _MARGIN = 0.02  # of the picture's size
 _ROOM = 1.2  # range of distances: the log's own, so much wider
 _REACH_RAD = 0.35  # beyond the joints' range in the log
@@ -149,11 +150,11 @@ def _with_stops(lin: Posterior, ways: FloatArray, joints: FloatArray) -> Posteri
     zero = ("moving", "approach_direction", "wheels_between", "joints_between", "pose_weight")
     copies.update((name, np.zeros_like(copies[name])) for name in zero)
     copies["joints"][2:] = joints
-    copies["times_ns"] = 3 * _PIECES * np.arange(count)
+    copies["times_ns"] = 3 * _PIECES * _PIECE_NS * np.arange(count)
     T_v_c = head_pose(data.chain, joints) @ state.parameters.T_h_c
     copies["seen"][2:] = _in_view(state, se3.inverse(T_v_c) @ _boards(state, ways))[..., None]
     copies["whitening"] = np.broadcast_to(np.eye(2), copies["whitening"].shape)
-    tracks = (WheelTrack.at_same_times(np.arange(len(right)), right, left),) * (last + 1)
+    tracks = (WheelTrack.at_same_times(_PIECE_NS * np.arange(len(right)), right, left),) * (last + 1)
     wide = replace(
         data,
         **copies,

@@ -58,7 +58,7 @@ def contradictions_of(fit: LikelihoodFit) -> tuple[Evidence, ...]:
     by_user = {name for name, alike in zip(fit.data.layout.names, priors.alike, strict=True) if not alike}
     ranked = sorted(
         strongest.values(),
-        key=lambda e: (by_user.isdisjoint(e.values), kind_of(e.kind).unit != "s", -e.sigmas),
+        key=lambda e: (by_user.isdisjoint(e.values), kind_of(e.kind).unit not in ("s", "s^2"), -e.sigmas),
     )
     return tuple(e for e in ranked if e.sigmas > CONTRADICTION_SIGMAS)
 
