@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import errno
+import re
 import reprlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -119,6 +120,7 @@ _WORDS = {
     "Input should be": "must be",
     "Field required": "missing",
     "Extra inputs are not permitted": "unknown key",
+    "Keys should be strings": "not a key",
 }
 
 
@@ -130,7 +132,9 @@ def problem_of(item: ErrorDetails) -> str:
         said = said.replace(words, plain)
     value = reprlib.repr(item["input"])
     got = "" if isinstance(item["input"], Mapping) or value in said else f" (got {value})"
-    return f"{key}: {said}{got}"
+    # In {square_m: 0,08}, the 08 is a key.
+    comma = item["type"] == "invalid_key" or key.endswith("[key]") or re.fullmatch(r"'[-+]?\d+,\d+'", value)
+    return f"{key}: {said}{got}{'; write numbers with a decimal point' if comma else ''}"
 
 
 def problems_of(error: ValidationError) -> str:

@@ -190,6 +190,8 @@ def parse_urdf(text: str) -> Urdf:
         ) from error
     if root.tag != "robot":
         raise ConfigError(f"URDF: the root element is <{root.tag}>, not <robot>", "give a URDF file")
+    if any("xacro}" in element.tag for element in root):
+        raise ConfigError("URDF: a xacro file, not expanded yet", "expand it: xacro FILE > robot.urdf")
     # Transmissions and ros2_control blocks also contain <joint> elements; only those of the robot itself count.
     joints = [_joint(element) for element in root.findall("joint")]
     names = [joint.name for joint in joints]

@@ -104,6 +104,10 @@ JOINT = '<robot><joint name="a" type="{}"><parent link="p"/><child link="c"/>{}<
         ("not xml", "not valid XML"),
         ("<model/>", "not <robot>"),
         ('<!DOCTYPE r [<!ENTITY x "y">]><robot name="r"/>', "not valid XML"),
+        (
+            '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="a"/></robot>',
+            "xacro file",
+        ),
         ('<robot name="r"><joint name="a" type="fixed"/></robot>', "no <parent"),
         (JOINT.format("fixed", '<origin xyz="1 2"/>'), "3 finite number"),
         (JOINT.format("revolute", '<axis xyz="0 0 0"/>'), "zero length"),
