@@ -28,7 +28,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import CELLS, image_coverage, station_names, std_text
-from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
+from mobilecal_cli.report.svg import HALF, NARROW, WIDE, Axes, Canvas, Scale
 from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, family_shares, shares_of
 
 _MOST_PATHS = 4  # recordings with their own plots
@@ -356,11 +356,10 @@ def budget_bar(error: Error) -> Drawn:
     used = [(share, name) for share, name in largest if share > _LABELED_SHARE / 2]
     rest = 1 - sum(share for share, _ in used)
     used += [(rest, "other")] * (rest > _LEAST_SHARE)
-    canvas = Canvas(WIDE, 46.0, f"error budget of the {error.figure.meaning}")
-    _stack(canvas, (0.0, 0.0, WIDE, 24.0), used, labels=False)
-    canvas.legend(
-        [(f"fill {FAMILIES[name].style}", f"{name} {100 * s:.0f} %") for s, name in used], 0.0, 42.0
-    )
+    canvas = Canvas(NARROW, 0.0, f"error budget of the {error.figure.meaning}")
+    _stack(canvas, (0.0, 0.0, NARROW, 16.0), used, labels=False)
+    labels = [(f"fill {FAMILIES[name].style}", f"{name} {100 * s:.0f} %") for s, name in used]
+    canvas.height = canvas.legend(labels, 0.0, 32.0) + 4
     value = f"{std_text(error.value)} {error.figure.unit}, limit {error.limit:.3g}"
     return Drawn(canvas.svg, title=f"What limits the {error.figure.short} ({value})")
 

@@ -19,6 +19,7 @@ from mobilecal_cli.model.text import visible
 
 _Value = TypeVar("_Value", float, FloatArray)
 WIDE, HALF = 640.0, 320.0  # widths of plots; two halves are side by side
+NARROW = 400.0  # of a plot that is on its own, and as wide as a phone
 _LEFT, _RIGHT, _TOP, _BOTTOM = 52.0, 10.0, 30.0, 40.0  # around the axes, for labels and title
 _CHARACTER = 6.2  # width of a character of a small label
 #: Style of a plot; the page's own variables are the colors.
@@ -116,8 +117,8 @@ class Canvas:
             up = False
         self.shape("path", kind, stations, tip, d=f"{''.join(steps)}{'Z' if closed else ''}")
 
-    def legend(self, entries: Sequence[tuple[str, str]], x: float, y: float) -> None:
-        """Samples with labels in a row that wraps at the right edge: (class of the sample, label)."""
+    def legend(self, entries: Sequence[tuple[str, str]], x: float, y: float) -> float:
+        """Samples with labels in a row that wraps at the right edge: (class of the sample, label); the last row's y."""
         at = x
         for kind, label in entries:
             wide = 22 + _CHARACTER * len(label)
@@ -129,6 +130,7 @@ class Canvas:
                 self.path(np.array([[at, y - 4], [at + 13, y - 4]]), kind)
             self.text(at + 17, y, label)
             at += wide + 8
+        return y
 
     @property
     def svg(self) -> str:

@@ -220,10 +220,13 @@ def test_no_label_lies_over_another(browser, page):
         Math.min(p.right, q.right) - Math.max(p.left, q.left) > 1 && Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top) > 3
         && p.width && q.width).map(([b]) => `${plot.getAttribute('aria-label')}: ${a} | ${b}`));
     })"""
+    sizes = """[...document.querySelectorAll('svg.plot text')].filter(t => t.getBoundingClientRect().width)
+      .map(t => parseFloat(getComputedStyle(t).fontSize) * t.getScreenCTM().a)"""
     for width in (390, 1200):
         browser.open(page, width=width)
         browser.evaluate(OPEN)
         assert browser.evaluate(overlap) == []
+        assert min(browser.evaluate(sizes)) > 9  # px; legends of the first screen had 5 on a phone
 
 
 @pytest.mark.parametrize("level", ["PASS", "NOT ENOUGH", "FAIL"])
