@@ -141,6 +141,9 @@ class NumberData(JsonValue):
     std_text: str
 
 
+_UNKNOWN = "not determined"
+
+
 def numbers_of(solution: Solution, rig: Rig) -> tuple[NumberData, ...]:
     """Head-eye transform of the reference camera, and wheels or factors: the numbers that every output shows."""
     T, uncertainty = solution.T_h_reference, solution.uncertainty
@@ -149,13 +152,19 @@ def numbers_of(solution: Solution, rig: Rig) -> tuple[NumberData, ...]:
     states = [""] * len(PARAMETERS)
     if uncertainty is not None:
         for k, std in enumerate(stds):
-            states[k] = "fixed" if std is None else "" if uncertainty.observable[k] else "not determined"
+            states[k] = "fixed" if std is None else "" if uncertainty.observable[k] else _UNKNOWN
             if uncertainty.described[k]:
                 states[k] = "from --prior" if uncertainty.with_prior[k] else "from the robot description"
     rows = [(p.name, p.label, p.unit, float(v), s) for p, v, s in zip(PARAMETERS, values, stds, strict=True)]
     factors = odometry_factors(rig, solution).items()
-    if factors:  # the last two follow from the others
+    if factors:  # the last two follow from the others, and may be known where one of these is not
         rows[6:] = [(name, name.replace("_", " "), "", value, std) for name, (value, std) in factors]
+        unknown = [
+            row[4] or 0.0 for row, state in zip(rows[6:], states[6:], strict=False) if state == _UNKNOWN
+        ]
+        for *_, std in rows[9:]:
+            known = std is None or std < min(unknown, default=math.inf) / 2
+            states.append(_UNKNOWN if not known else "fixed" if std == 0 else "")
     return tuple(
         NumberData(
             name=name,
@@ -163,7 +172,7 @@ def numbers_of(solution: Solution, rig: Rig) -> tuple[NumberData, ...]:
             unit=unit,
             value=value,
             std=std,
-            state=states[min(k, len(states) - 1)],
+            state=states[k],
             value_text=value_text(value, std, _UNCERTAIN_DIGITS),
             std_text="" if std is None else std_text(std),
         )

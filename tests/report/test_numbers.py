@@ -1,14 +1,19 @@
 """Numbers as the terminal and the reports show them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mobilecal_cli import se3
+from mobilecal_cli.model import SIDES, WheelSource
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import decimals_of, percent_text, std_text, value_text
+from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, simulated
 from tests.report.example import made
+from tests.robots import true_nominal
 
 
 @pytest.mark.parametrize("name", ["tick", "paper"])
@@ -73,3 +78,21 @@ def test_visible_escapes_what_steers():
 )
 def test_a_probability_has_two_digits_and_no_exponent(share, said):
     assert percent_text(share) == said
+
+
+@pytest.mark.parametrize(
+    ("motion", "unknown"),
+    [("straight", ["separation", "angular"]), ("spin", ["right", "left", "separation", "linear"])],
+)
+def test_a_scale_of_odometry_may_be_known_where_a_factor_is_not(motion, unknown):
+    """A straight drive shows the linear scale, which was "not determined" as the separation; a spin the angular one."""
+    extraction = simulated(motion, Noise(pixel_px=0.2, joint_rad=1e-4), "tick", seed=1)
+    robot, rig = ROBOTS["tick"], extraction.rig
+    source = WheelSource("/odom", assumed=True, baked_in=robot.nominal_wheels)
+    sources = replace(rig.sources, wheels=dict.fromkeys(SIDES, source))
+    extraction = replace(extraction, rig=replace(rig, sources=sources, nominal=true_nominal(robot)))
+    numbers = made(solve(extraction), extraction).numbers
+    shown = [
+        number.name.partition("_")[0].replace("wheel", "separation") for number in numbers if number.state
+    ]
+    assert [name for name in shown if name not in "rt"] == unknown
