@@ -51,17 +51,18 @@ def export(
         output: File to write; - for standard output. [default: -]
     """
     from mobilecal_cli.calibrate.export import export as exported
-    from mobilecal_cli.export.outputs import check_output, write_outputs
+    from mobilecal_cli.export.outputs import check_output, recognized_file, regular_file, write_outputs
     from mobilecal_cli.model.text import visible
 
     if len(to) > 1:
         raise ConfigError(f"--to {' --to '.join(to)}: more than one format", "export one format at a time")
     target, output = to[0], None if str(output) == "-" else output
     inputs, paths = [params, urdf, *(log or [])], []
+    scene = target == Target("foxglove")
     if output is not None:
-        check_output(output, force, inputs)
+        check_output(output, force, inputs, regular_file if scene else recognized_file)
         paths.append(output)
-    if target == Target("foxglove"):
+    if scene:
         if output is None:
             raise ConfigError(f"--to {target} writes two files", "name the first with --output scene.mcap")
         paths.append(output.with_suffix(".layout.json"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from itertools import permutations
 from pathlib import Path
@@ -13,18 +13,29 @@ from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.files.interruption import uninterrupted
 from mobilecal_cli.files.placing import Recognize, already_exists, clean_up, partial_of, place
+from mobilecal_cli.files.reading import RECORDED
 
 _ANOTHER = "choose another output path"
+_MAGIC_BYTES = 16
 # Files of an output directory: --force never deletes anything else.
 OUTPUT_NAMES = frozenset({"params.yaml", "report.html", "report.json", "extraction.npz"})
 
 
 def recognized_file(path: Path) -> tuple[str, ...]:
-    """(), if the path is a regular file, and none of a calibration, which is replaced as a whole.
+    """(), if the path is a regular file, no recording, and none of a calibration, which is replaced as a whole.
 
     Raises:
         OutputError: anything else.
     """
+    regular_file(path)
+    with suppress(OSError), path.open("rb") as stream:  # what cannot be read may be replaced
+        if stream.read(_MAGIC_BYTES).startswith(RECORDED):
+            raise OutputError(f"{path}: a recording", _ANOTHER)
+    return ()
+
+
+def regular_file(path: Path) -> tuple[str, ...]:
+    """The same; a recording, too, where the output is one."""
     if path.is_symlink() or not path.is_file():
         raise OutputError(f"{path}: exists and is not a regular file", _ANOTHER)
     if _is_of_calibration(path):
@@ -158,7 +169,11 @@ def write_outputs(outputs: Mapping[Path, bytes | Mapping[str, bytes]], force: bo
         OutputError: see `check_output`; or writing failed.
     """
     recognized = {
-        path: recognized_file if isinstance(content, bytes) else recognized_output
+        path: recognized_output
+        if isinstance(content, Mapping)
+        else regular_file
+        if content.startswith(RECORDED)
+        else recognized_file
         for path, content in outputs.items()
     }
     for path, recognize in recognized.items():

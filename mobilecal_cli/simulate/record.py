@@ -23,7 +23,14 @@ from rosbags.typesys.store import Typestore
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.errors import OutputError
-from mobilecal_cli.export.outputs import check_output, files_in, recognized_file, write_all, write_synced
+from mobilecal_cli.export.outputs import (
+    check_output,
+    files_in,
+    recognized_file,
+    regular_file,
+    write_all,
+    write_synced,
+)
 from mobilecal_cli.model import CameraInfo, FloatArray, IntArray, WheelGeometry
 from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, TICK_BITS, TICKS_PER_REVOLUTION, urdf_text
 from mobilecal_cli.simulate.scenario import PIXEL_NOISE_GREY, Scenario, World
@@ -286,7 +293,7 @@ def simulate(
         ConfigError: no route keeps the board in view.
     """
     truth = truth_path(out)
-    recognized = recognized_folder if scenario.container in _ROSBAG2 else recognized_file
+    recognized = recognized_folder if scenario.container in _ROSBAG2 else regular_file
     check_output(out, force, recognize=recognized)
     if os.path.lexists(out) and not truth.is_file():
         raise OutputError(

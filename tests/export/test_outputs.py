@@ -10,6 +10,7 @@ from mobilecal_cli.export import outputs
 from mobilecal_cli.export.outputs import append_text, check_output, recognized_output, write_outputs
 from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.files import placing
+from mobilecal_cli.files.reading import RECORDED
 from mobilecal_cli.files.scratch import temporary
 
 OURS = FIRST_LINE.encode()
@@ -94,6 +95,18 @@ def test_force_needs_parameters_of_ours(tmp_path, name):
     (tmp_path / "out" / name).write_bytes(b"of another tool")
     with pytest.raises(OutputError, match="not an output directory"):
         check_directory(tmp_path / "out", force=True)
+
+
+def test_only_a_recording_replaces_a_recording(tmp_path):
+    """`--summary` appended to any file, also without --force, and --junit replaced any with it."""
+    recording, scene = tmp_path / "log.mcap", tmp_path / "scene.mcap"
+    for path in (recording, scene):
+        path.write_bytes(RECORDED[0])
+    for write in (lambda: append_text(recording, "text"), lambda: write_outputs({recording: b"<xml>"}, True)):
+        with pytest.raises(OutputError, match=r"log\.mcap: a recording"):
+            write()
+    write_outputs({scene: RECORDED[0] + b"new"}, True)
+    assert (recording.read_bytes(), scene.read_bytes()) == (RECORDED[0], RECORDED[0] + b"new")
 
 
 @pytest.mark.parametrize("force", [False, True])
