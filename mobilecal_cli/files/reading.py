@@ -121,6 +121,10 @@ _WORDS = {
     "Field required": "missing",
     "Extra inputs are not permitted": "unknown key",
     "Keys should be strings": "not a key",
+    "a valid boolean": "true or false",
+    "a valid tuple": "a list",
+    "Tuple should": "must",
+    " after validation": "",
 }
 
 

@@ -83,6 +83,12 @@ def test_the_example_of_a_section_is_valid(section):
         ),
         ("board: {square_m: .inf}", "board.square_m: must be from 0.0001 to 10 m (got inf)"),
         ("board: {square_m: true}", "board.square_m: must be a valid number (got True)"),
+        ("wheels: {left: {topics: /a}}", "wheels.left.topics: must be a list (got '/a')"),
+        (
+            "nominal: {head_eye: {translation_m: [0,1, 0,2]}}",
+            "translation_m: must have at most 3 items, not 4",
+        ),
+        ("cameras: {rectified: maybe}", "cameras.rectified: must be true or false (got 'maybe')"),
         ("board: {square_m: 0,08}", "board.8: not a key (got 8); write numbers with a decimal point"),
         ("board:\n  square_m: 0,08", "(got '0,08'); write numbers with a decimal point"),
         ("gates: {stations: 10,5}", "must be a valid string (got 5); write numbers with a decimal point"),
