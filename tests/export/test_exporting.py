@@ -25,7 +25,7 @@ from mobilecal_cli.likelihood.constants import WHEEL_SIGMA
 from mobilecal_cli.model import AssumedOdometry, CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.targets import Target
-from tests.command import run, succeeded
+from tests.command import run
 from tests.extractions import Noise, simulated
 from tests.formats import text_of
 
@@ -124,16 +124,6 @@ def test_a_hyphen_is_standard_output(passed, tmp_path):
     assert (named.code, named.out, named.left) == (0, plain.out, [])
     two = run("export", passed, "--to", "foxglove", "-o", "-", cwd=tmp_path)
     assert (two.code, two.left) == (2, [])
-
-
-def test_the_command_refuses_with_exit_code_6(straight, tmp_path):
-    refused = run("export", straight, "--to", "ros2_control", "-o", tmp_path / "out.yaml", cwd=tmp_path)
-    assert (refused.code, refused.out, refused.left) == (6, "", [])
-    assert "error: " in refused.err
-    assert "NOT ENOUGH. The wheel separation is not determined" in refused.err
-    assert "hint: " in refused.err
-    done = succeeded("export", straight, "--to", "ros2_control", "--allow-failed")
-    assert "Verdict of the calibration: NOT ENOUGH." in done.err
 
 
 def test_a_file_without_a_verdict_has_an_unknown_one(passed, tmp_path):

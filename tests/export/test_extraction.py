@@ -282,12 +282,3 @@ def test_elements_of_another_type_are_refused(name, dtype):
     content[name] = (content | {"header": header})[name].astype(dtype)
     with pytest.raises(RecordingError, match=rf"damaged: {name}: elements are "):
         extraction_from_npz(written(content))
-
-
-def test_smaller_elements_are_read():
-    content = usual()
-    content["observations.log"] = content["observations.log"].astype(np.int8)
-    content["observations.joints"] = content["observations.joints"].astype(np.float32)
-    (first, _) = extraction_from_npz(written(content)).observations
-    assert type(first.log) is int
-    assert first.joints.dtype == np.float64

@@ -111,18 +111,6 @@ def test_camera_info_is_that_of_the_fitted_pair(calibrated):
     assert T[:3, 3] == pytest.approx([-P_right[0, 3] / P_right[0, 0], 0, 0], abs=1e-8)
 
 
-def test_camchain_is_that_of_the_fitted_pair(calibrated):
-    _, extraction, solution, params = calibrated
-    made = export(params, Target.camchain)
-    data = yaml.safe_load(made.content)
-    cameras = fitted_cameras(extraction, solution)
-    assert np.array(data["cam1"]["T_cn_cnm1"]) == pytest.approx(se3.inverse(cameras.T_c_each[1]), abs=1e-9)
-    for chain, fitted in zip(data.values(), cameras.each, strict=True):
-        fu, fv, pu, pv = chain["intrinsics"]
-        K_made = np.array([[fu, 0, pu], [0, fv, pv], [0, 0, 1]])
-        assert off_px(fitted, K_made, np.array(chain["distortion_coeffs"])) <= stated_px(made.notes) * 1.05
-
-
 def test_the_urdf_with_the_chain_moves_as_the_fitted_head(calibrated, tmp_path):
     described, extraction, solution, params = calibrated
     made = export(params, Target.urdf, urdf=params.with_name("robot.urdf"), with_chain=True)
@@ -157,17 +145,6 @@ def test_a_zero_of_the_first_joint_is_not_written_twice(calibrated, tmp_path):
     )
     with pytest.raises(ConfigError, match="is not as in the calibrated robot's chain"):
         patched_urdf(once.content, parameters_from_yaml(params.read_text()), {}, chain)
-
-
-def test_the_urdf_without_the_chain_says_so(calibrated):
-    described, _, _, params = calibrated
-    made = export(params, Target.urdf, urdf=params.with_name("robot.urdf"))
-    assert any("The calibration also corrects the head chain" in note for note in made.notes)
-    drawn, kept = (parse_urdf(text) for text in (urdf_text(described), made.content.decode()))
-    for joint in described.joints:
-        if joint.name:
-            before, after = (urdf.joints[joint.name].T_parent_child for urdf in (drawn, kept))
-            assert before == pytest.approx(after)
 
 
 def test_exports_without_the_chain_say_how_far_the_camera_is_off(calibrated):
@@ -252,13 +229,6 @@ def test_the_distortion_model_takes_over_the_correction(model, D, limit_px, shar
     assert off.max() <= off_px.max() * 1.05 < limit_px
     without = np.linalg.norm(project(replace(camera, correction=None), rays) - pixels, axis=1)
     assert np.sqrt(np.mean(off**2)) < np.sqrt(np.mean(without**2))
-
-
-def test_a_camera_without_a_correction_stays():
-    camera = Camera("c", 640, 480, K, np.array([0.1, 0, 0, 0]), "equidistant")
-    fitted, off_px = without_correction(camera)
-    assert fitted is camera
-    assert off_px.max() == 0
 
 
 MIMIC = b"""<robot name="r">

@@ -300,13 +300,6 @@ def test_paths_are_checked_before_the_work(tmp_path, check):
         check(tmp_path / "old", False)
 
 
-def test_the_longest_name(tmp_path):
-    for name in ("x" * 255, "ü" * 127):
-        write_outputs({tmp_path / f"{name[:-1]}1": b"1"}, force=False)
-        write_outputs({tmp_path / name: FILES}, force=False)
-    assert len(list(tmp_path.iterdir())) == 4
-
-
 def test_leftovers_of_a_killed_run_are_removed(tmp_path):
     for number, suffix in enumerate(("partial", "old")):
         left = tmp_path / f".out.0000000{number}.{suffix}" / "out"

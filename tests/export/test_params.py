@@ -180,12 +180,6 @@ def test_a_bad_file_is_a_config_error(extraction, solution, change, said):
     assert caught.value.hint
 
 
-@pytest.mark.parametrize("text", ["", "3", "- a\n- b", "\x00", "a: &a [*a]"])
-def test_a_foreign_file_is_a_config_error(text):
-    with pytest.raises(ConfigError):
-        parameters_from_yaml(text)
-
-
 CONSTANTS = {
     constant.name: constant
     for constant in (
