@@ -123,7 +123,7 @@ def test_a_recording_of_which_nothing_is_used_is_named(sample_logs, tmp_path):
     assert [note for note in extraction.notes if note.startswith(f"{log}: {UNUSED}")]
 
 
-@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize("order", [pytest.param(1, marks=pytest.mark.long), -1])
 def test_recordings_of_two_boards_are_refused(sample_logs, tmp_path, order):
     """The first one's board was used, and the other recording left out with a note."""
     simulate(Scenario(board=Board(7, 5, 0.09), stations=4, pictures_per_rest=1), tmp_path / "other.mcap")

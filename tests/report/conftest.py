@@ -15,11 +15,12 @@ def solution(extraction):
     return make_solution(extraction)
 
 
-@pytest.fixture(scope="module")
-def html(solution, extraction):
-    return page_of(solution, extraction, make_snapshots(extraction))
+@pytest.fixture(scope="session")
+def html():
+    extraction = make_extraction()
+    return page_of(make_solution(extraction), extraction, make_snapshots(extraction))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def page(html):
     return Page(html)

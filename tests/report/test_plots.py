@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import HeadChain, JointLink, Outlier, Rejection, Snapshot
+from mobilecal_cli.model import Outlier, Rejection, Snapshot
 from mobilecal_cli.report.plots import budget_bar, corner_residuals, leg_views, thumbnails, trail
 from mobilecal_cli.report.use import FIGURES, Error
 from tests.pairs import with_views
@@ -72,16 +72,6 @@ def test_several_logs_have_a_path_each():
     labels = [attributes.get("aria-label") for _, attributes in page.tags]
     assert labels.count("top view of the base path with cameras and board") == 2
     assert "2:0–2:1" in page.text
-
-
-def test_a_head_with_one_joint(extraction, solution):
-    chain = HeadChain("base_link", "head_link", (JointLink("pan", np.array([0, 0, 1.0])),), pan="pan")
-    seen = tuple(
-        replace(o, joints=o.joints[:1], joints_std=o.joints_std[:1]) for o in extraction.observations
-    )
-    rig = replace(extraction.rig, chain=chain)
-    extraction = replace(extraction, rig=rig, observations=seen)
-    assert "pan [deg]" in Page(page_of(solution, extraction)).text
 
 
 def test_the_trail_runs_through_the_stations(solution, extraction):

@@ -1,7 +1,6 @@
 """Other places than the page: notebook, job summary, JUnit, JSON of suggestions."""
 
 import json
-import os
 import re
 import shutil
 import xml.etree.ElementTree as ET
@@ -14,7 +13,7 @@ from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.report.text import job_summary
 from mobilecal_cli.rig.config import UNCONFIGURED
-from tests.command import run, succeeded
+from tests.command import succeeded
 from tests.conftest import REPOSITORY
 from tests.report.example import HOSTILE, Page, drawn, made, make_extraction, make_solution, report_on
 
@@ -89,14 +88,6 @@ def test_the_summary_has_the_change_and_is_appended(result):
     assert len(re.findall(r"\| [+-][\d.]+ \| (?:m|rad) \| [+-]0\.0 \|", text)) == 9
     suite = ET.parse(result / "junit.xml").getroot()
     assert 0 < float(suite.get("time")) < 600
-
-
-def test_a_summary_that_cannot_be_written(result):
-    done = run(
-        "calibrate", "result/extraction.npz", "-o", "third", "-q", "--summary", "none/s.md", cwd=result
-    )
-    assert done.code == 7
-    assert not os.path.lexists(result / "third")
 
 
 def test_suggest_as_json(result):
