@@ -254,7 +254,7 @@ def test_many_short_legs_show_the_wheels_together():
 
 
 def test_many_short_legs_without_a_turn_do_not_show_the_separation():
-    extraction = short_legs(np.zeros(8))
+    extraction = short_legs(np.zeros(5))
     (gap,) = motion_gaps(extraction, FIX.fixed)
     assert "separation" in gap.parameters
     with pytest.raises(SolveError, match="the motion does not show the wheel radii"):
