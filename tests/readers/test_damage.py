@@ -74,24 +74,6 @@ def test_truncated_database_gives_rows_until_the_damage(originals, tmp_path):
     assert f"truncated: {path.stat().st_size} of {len(data)} bytes or more (70 %) are left" in note
 
 
-def test_the_share_of_a_truncated_bag_is_noted(originals, tmp_path):
-    data = originals["bag"]
-    path = written(tmp_path, data[: len(data) // 2], "cut.bag")
-    with open_recording([path]) as recording:
-        (share,) = [note for note in recording.damage if "the file is truncated" in note]
-    assert f"{len(data) // 2} of " in share
-    assert "(5" in share  # the bag states where its index begins, which is near its end
-
-
-def test_truncated_part_is_compared_with_metadata(tmp_path):
-    folder = r.write_bag2(tmp_path / "log", ITEMS)
-    file = next(folder.glob("*.db3"))
-    file.write_bytes(file.read_bytes()[: int(file.stat().st_size * 0.7)])
-    with open_recording([folder]) as recording:
-        read = sum(1 for _ in recording.messages(["/joint_states"]))
-        assert f"/joint_states: metadata.yaml states 60 messages, {read} could be read" in recording.damage
-
-
 def test_missing_part_is_named_and_the_rest_is_used(tmp_path):
     folder = r.write_bag2(tmp_path / "log", ITEMS)
     text = (folder / "metadata.yaml").read_text()
@@ -320,16 +302,6 @@ def test_bytes_like_a_chunk_whose_content_would_go_beyond_the_end_cost_nothing(o
     found, damage = messages_of(written(tmp_path, data[:end] + bytes(9) + like_a_chunk))
     assert len(found) == len(ITEMS)
     assert "the file ends inside a record at byte" in " ".join(damage)
-
-
-def test_a_chunk_that_is_gone_costs_only_its_messages(whole, tmp_path):
-    data = whole.read_bytes()
-    with open_recording([whole]) as recording:
-        block = recording.parts[0].blocks[2]
-    lost = in_block(whole, block.offset, block.size)
-    path = written(tmp_path, data[: block.offset] + data[block.offset + block.size :])
-    found, _ = messages_of(path)
-    assert len(found) == len(ITEMS) - lost
 
 
 @pytest.mark.parametrize("name", ["mcap-zstd", "bag"])

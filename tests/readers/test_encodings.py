@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
@@ -164,20 +163,6 @@ def test_dynamic_joint_states(tmp_path):
         signals = r.one_log(recording, sources)
     assert signals.joints["pan"].value == pytest.approx([0, 0.1, 0.2, 0.3])
     assert signals.wheels["left"].value[-1] == pytest.approx(2.0 * 3e-9)
-
-
-def test_a_raw_image_in_protobuf_is_a_picture(tmp_path):
-    pixels = np.arange(48, dtype=np.uint8).reshape(6, 8)
-    time = Timestamp(seconds=r.START_NS // 10**9, nanos=7)
-    size = {"width": 8, "height": 6, "step": 8}
-    raw = RawImage(timestamp=time, frame_id="eye", encoding="mono8", data=pixels.tobytes(), **size)
-    with (tmp_path / "log.mcap").open("wb") as stream, ProtobufWriter(stream) as writer:
-        writer.write_message("/eye", raw, r.START_NS)
-    with open_recording([tmp_path / "log.mcap"]) as recording:
-        assert recording.topic("/eye").type == "sensor_msgs/msg/Image"
-        ((_, time_ns, picture),) = r.read_images(recording, {"left": "/eye"}, {"left": [r.START_NS + 7]})
-    assert time_ns == r.START_NS + 7
-    assert np.array_equal(picture, pixels)
 
 
 @pytest.mark.parametrize(

@@ -132,14 +132,3 @@ def test_sqlite_reads_the_log_times_asked_for(tmp_path, indexed):
         assert recording.share(["/left/image_raw"], Extent(at_ns=at_ns)) == pytest.approx(4 / 6)
         assert recording.damage == ()
         assert logged(recording, Extent()) == times
-
-
-def test_bytes_of_topics_in_sqlite(tmp_path):
-    images = list(r.SOURCES.image.values())
-    (file,) = r.write_bag2(tmp_path / "log", ITEMS).glob("*.db3")
-    with open_recording([file]) as recording:
-        for topic in (*images, "/ticks"):
-            payloads = [len(m.payload) for m in recording.messages([topic])]
-            assert recording.bytes_of([topic]) == sum(payloads) > 0
-        assert recording.bytes_of(images) == sum(recording.bytes_of([t]) for t in images)
-        assert recording.bytes_of(["/none"]) == 0

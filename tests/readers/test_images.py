@@ -75,10 +75,6 @@ def test_16_bit_in_either_byte_order(encoding, order):
     np.testing.assert_array_equal(gray, GRAY)
 
 
-def test_12_bit_in_16_bit_words_is_scaled():
-    np.testing.assert_array_equal(decoded(GRAY.astype(np.uint16) << 4, "mono16"), GRAY)
-
-
 @pytest.mark.parametrize("shift", [4, 8])
 @pytest.mark.parametrize("color", [False, True])
 def test_16_bit_png_is_scaled_like_raw_words(shift, color):

@@ -103,11 +103,3 @@ def test_two_that_disagree_are_refused(which, said, cure):
     with pytest.raises(RecordingError, match=f"left 0 and left 1 {said}") as told:
         averaged([LEFT, BROKEN[which]])
     assert cure in told.value.hint
-
-
-def test_wheels_that_turn_although_others_stand():
-    with pytest.raises(RecordingError, match="do not turn alike"):
-        averaged([0 * LEFT, LEFT], [0 * RIGHT, 0 * RIGHT])
-    found, notes = averaged([LEFT, 0 * LEFT], [RIGHT, 0 * RIGHT])
-    np.testing.assert_allclose(found["right"].value, RIGHT, atol=1e-9)
-    assert [note.split(":")[0] for note in notes] == ["left 1", "right 1"]

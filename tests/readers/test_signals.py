@@ -207,14 +207,6 @@ def test_what_joints_and_wheels_do_is_no_second_publisher(tmp_path):
     np.testing.assert_allclose(turned - turned[0], angle - angle[0], atol=1e-3)
 
 
-def test_noise_and_an_encoder_between_two_steps_are_one_publisher(tmp_path):
-    rng = np.random.default_rng(0)
-    t = 0.02 * np.arange(200)
-    values = np.stack([np.round(t * 40 + rng.normal(size=200)) / 40, t, 0.02 * (np.arange(200) % 2)], axis=1)
-    rows = [(s, at(s), NAMES, list(value)) for s, value in zip(t, values, strict=True)]
-    assert len(joints_read(tmp_path, rows).joints["pan"].value) == 200
-
-
 def test_duplicate_stamps_keep_the_first(tmp_path):
     rows = [(0.1 * k, at(0.1 * (k // 2)), NAMES, [k, k, k]) for k in range(10)]
     signals = signals_of(tmp_path, [*images(), *joints(rows), *images()])
@@ -269,15 +261,6 @@ def test_only_nan_is_refused(tmp_path, bad):
         joints_read(tmp_path, rows)
 
 
-def test_positions_that_never_change_beside_velocities(tmp_path):
-    """Some drivers fill in zeros in place of the positions that they do not know."""
-    stuck = [(0.1 * k, at(0.1 * k), NAMES, [0, 0, 0], [0, 2.0, min(k, 1) * 1.0]) for k in range(11)]
-    signals = joints_read(tmp_path, stuck)
-    assert signals.wheels["left"].value[-1] == 0  # neither changes
-    assert signals.wheels["right"].value[-1] == pytest.approx(0.95)
-    assert any("positions that never change; velocities are integrated" in note for note in signals.notes)
-
-
 @pytest.mark.parametrize("pause_s", [0.05, 1.2, 3.0])
 def test_wrapped_positions_are_unwrapped_and_noted_with_and_without_a_pause(tmp_path, pause_s):
     """The wheel turns on during the pause at the speed that it had before and has after it."""
@@ -312,13 +295,6 @@ def test_jumps_of_a_wheel_are_undone_and_noted(tmp_path, jumps):
     often = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
     said = f"the rotation jumps {often} by {read[first] - read[first - 1]:.4g} rad, {times[first - 1]:.1f} s after"
     assert any(said in note for note in signals.notes)
-
-
-def test_a_driver_that_starts_again_beside_a_slip(tmp_path):
-    times, angle = turning()
-    slips = angle + 2 * (times > 5)
-    signals = joints_read(tmp_path, wheel_at(times, slips - 30 * (times > 10)))
-    np.testing.assert_allclose(signals.wheels["left"].value, slips, atol=0.02)
 
 
 @pytest.mark.parametrize("counts", [False, True])
@@ -382,12 +358,6 @@ def test_readings_beyond_the_width_of_a_counter_are_refused(tmp_path):
     ticks = [r.Item("/t", at(0.1 * k), r.number("UInt16", 90 * k)) for k in range(5)]
     with pytest.raises(RecordingError, match="a reading of 360 does not fit a counter of 8 bits"):
         signals_of(tmp_path, [*images(), *joints(steady()), *ticks], with_left("/t", field="data", **width))
-
-
-def test_sparse_positions_are_left_alone(tmp_path):
-    angles = [3 * (-1) ** k for k in range(8)]
-    signals = joints_read(tmp_path, wheel_at(3.0 * np.arange(8), angles))
-    np.testing.assert_array_equal(signals.wheels["left"].value, angles)
 
 
 @pytest.mark.parametrize(

@@ -39,17 +39,6 @@ def test_a_motion_that_turned_back_behind_repeated_readings_shows_them_too(turns
     assert len(notes) == 1
 
 
-def test_a_coarse_encoder_shows_them_too():
-    """It changes in every second or third reading only."""
-    value = 0.006 * np.round(0.05 * _TIME_S / 0.006)
-    value[200:240] = value[200]
-    keep, notes = _kept(value)
-    dropped = np.flatnonzero(~keep)
-    assert len(notes) == 1
-    assert set(dropped) >= set(range(203, 238))
-    assert set(dropped) <= set(range(195, 245))
-
-
 @pytest.mark.parametrize("encoder_step", [0.0, 0.005])
 @pytest.mark.parametrize(
     "repeated", [lambda k: k % 3 > 0, lambda k: np.random.default_rng(k).uniform(size=600) < 0.3]
@@ -96,12 +85,6 @@ def test_a_joint_that_rests_or_has_coarse_steps_keeps_all_readings(value):
     keep, notes = _kept(value)
     assert keep.all()
     assert notes == []
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 6, 7])
-def test_short_tracks_stay_as_they_are(count):
-    track = Track(np.arange(count), np.arange(count, dtype=float))
-    assert without_stale("joint pan", track, []) is track
 
 
 def _samples(time_s, value):
