@@ -93,21 +93,6 @@ def test_the_waves_of_a_lens_are_small_over_the_image_and_have_their_derivatives
     np.testing.assert_allclose(rays, points[:, :2], atol=1e-9)
 
 
-def test_optical_axis_of_the_equidistant_model() -> None:
-    pixels, J = project_with_jacobian(camera("equidistant"), np.array([[0.0, 0.0, 2.0]]))
-    np.testing.assert_allclose(pixels, [[341.6, 235.2]])
-    np.testing.assert_allclose(J[0, :, :2], K[:2, :2] / 2)
-    np.testing.assert_allclose(undistorted(camera("equidistant"), pixels)[0], [[0.0, 0.0]], atol=1e-15)
-
-
-def test_equidistant_sees_beyond_ninety_degrees() -> None:
-    plain = Camera("optical", 640, 480, K, np.zeros(4), "equidistant")
-    angle = np.radians(100)
-    pixel = project(plain, np.array([np.sin(angle), 0.0, np.cos(angle)]))
-    np.testing.assert_allclose(pixel, [341.6 + 533.5 * angle, 235.2])
-    assert not undistorted(plain, pixel)[1]
-
-
 def test_pixel_out_of_the_models_reach_is_told() -> None:
     # With k1 = -0.3 alone r (1 - 0.3 r^2) is never above 0.703: nothing is imaged farther out.
     barrel = Camera("optical", 640, 480, K, np.array([-0.3, 0, 0, 0, 0]), "plumb_bob")

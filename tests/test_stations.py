@@ -98,13 +98,6 @@ def test_keyframes_spread_over_the_motion():
     assert np.sum(pan > 0.1) >= 10
 
 
-def test_a_long_rest_gives_few_pictures():
-    long = signals(lambda t: staircase(t, rest_s=60), lambda t: 3 * staircase(t, rest_s=60), duration_s=488)
-    plan, _ = planned(long, ("pan",))
-    assert len(plan.stations) == 8
-    assert all(len(station.shots) == SHOTS_PER_REST for station in plan.stations)
-
-
 def test_unequal_clocks_of_the_cameras_pair_the_nearest_and_each_picture_once():
     left, right = ns([0, 1, 2, 3]), ns([0.02, 0.98, 1.01, 3.01])
     pairs = pair_images(left, right, 0.1)
@@ -251,14 +244,6 @@ def test_a_frozen_camera_is_named(frozen):
     assert "between 20 and 24 s after the first image" in note
 
 
-def test_cameras_that_are_frozen_from_the_start():
-    start = np.full_like(PICTURES, 0.1)
-    images = {side: repeating(PICTURES, start) for side in ("left", "right")}
-    swing = signals(lambda t: np.sin(3 * t), lambda t: 0.5 * t, images=images)
-    plan, _ = planned(swing, ("pan",))
-    assert sum(len(station.shots) for station in plan.stations) == 1
-
-
 def lost_after(seconds, begin=0.0):
     """Images of both cameras from a first second on, until a last one."""
     return {side: indexed(ns(np.arange(begin + 0.1, seconds, 0.2))) for side in ("left", "right")}
@@ -316,10 +301,6 @@ def test_joints_and_wheels_that_are_published_slowly_are_named_with_their_rates(
     assert lost == {("too few readings per second", rates)}
     assert f"too few readings per second ({rates}). Publish joints and wheels at 20 Hz or more" in notes[0]
     assert notes[1].startswith("wheels: too few readings per second (1, at least 8 needed).")
-
-
-def test_wheels_at_ten_readings_per_second_are_enough():
-    assert planned(slow(10.0), ("pan",))[1] == ()
 
 
 def test_images_that_lie_between_slow_readings_in_motion_name_their_rate():

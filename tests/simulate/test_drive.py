@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mobilecal_cli.model import WheelGeometry
-from mobilecal_cli.simulate.route import Drive, Stretch, base_in_world, moved, wheel_speeds
+from mobilecal_cli.simulate.route import Drive, Stretch, moved, wheel_speeds
 
 WHEELS = WheelGeometry(radius_right_m=0.2, radius_left_m=0.25, separation_m=0.5)
 QUARTER = math.pi / 2
@@ -63,17 +63,3 @@ def test_wheels_and_poses_agree_with_small_steps(parts):
     x, y = np.sum(run * np.cos(middle)), np.sum(run * np.sin(middle))
     # The midpoint rule is wrong by (w dt)^2 / 24 of the way: under 1e-6 of 12 m here.
     assert drive.poses(times_s[-1:])[0] == pytest.approx((x, y, heading[-1]), abs=1.2e-5)
-
-
-def test_a_drive_joins_its_stretches():
-    drive = Drive((Stretch(1.0, 1.0), Stretch(1.0, 0.0, QUARTER), Stretch(1.0), Stretch(1.0, 2.0)))
-    poses = drive.poses(np.array([0.5, 1.0, 1.5, 2.5, 3.5, 4.0]))
-    x_m, y_m = [0.5, 1, 1, 1, 1, 1], [0, 0, 0, 0, 1, 2]
-    headings_rad = [0, 0, QUARTER / 2, QUARTER, QUARTER, QUARTER]
-    assert poses == pytest.approx(np.column_stack([x_m, y_m, headings_rad]), abs=1e-12)
-
-
-def test_base_in_world_takes_the_bases_axes_to_the_world():
-    T_w_v = base_in_world(np.array([[1.0, 2.0, QUARTER]]))[0]
-    assert T_w_v @ [1, 0, 0.5, 1] == pytest.approx([1, 3, 0.5, 1], abs=1e-12)
-    assert T_w_v @ [0, 1, 0, 1] == pytest.approx([0, 2, 0, 1], abs=1e-12)
