@@ -1,5 +1,6 @@
 """Printed boards, rendered by PDFium: their size on the page, and whether detectors find them."""
 
+from functools import cache
 from itertools import product
 
 import cv2
@@ -41,6 +42,14 @@ def rendered(pdf, dpi):
     return image, np.array(image.shape[::-1]) / page.get_size() * 72 / MM
 
 
+@cache
+def found_in_print(name):
+    """The board, its image, pixels per mm, and where it is found."""
+    board, paper = PRINTS[name]
+    image, per_mm = rendered(board_pdf(board, paper).content, 150 if board.square_m < 0.06 else 75)
+    return board, image, per_mm, find_board(image, board)
+
+
 def opencv_corners(image, board):
     """The board's corners as OpenCV finds them, (M, 2) px, (0, 0) the center of the first pixel."""
     if board.markers is None:
@@ -61,9 +70,7 @@ def grid_mm(board):
 @pytest.mark.parametrize("name", PRINTS)
 def test_corners_are_at_true_scale(name):
     """Both detectors find every corner, as far from the others as the board says: within 0.05 mm."""
-    board, paper = PRINTS[name]
-    image, per_mm = rendered(board_pdf(board, paper).content, 150 if board.square_m < 0.06 else 75)
-    ours = find_board(image, board)
+    board, image, per_mm, ours = found_in_print(name)
     assert isinstance(ours, Detection)
     assert ours.seen.all()
     for corners in (ours.pixels, opencv_corners(image, board)):
@@ -78,9 +85,8 @@ def test_corners_are_at_true_scale(name):
 @pytest.mark.parametrize("name", PRINTS)
 def test_the_first_square_at_the_top_left_is_dark(name):
     """Every square has its color, at the place that the detected corners give it, on white paper."""
-    board, paper = PRINTS[name]
-    image, _ = rendered(board_pdf(board, paper).content, 150 if board.square_m < 0.06 else 75)
-    corners = find_board(image, board).pixels
+    board, image, _, found = found_in_print(name)
+    corners = found.pixels
     looks_the_same_upside_down = board.markers is None and (board.columns + board.rows) % 2 == 0
     if not looks_the_same_upside_down:
         assert corners[0].tolist() == pytest.approx(corners.min(axis=0).tolist(), abs=1)

@@ -23,8 +23,8 @@ def checked(sound, count: int, first: int) -> None:
     assert kinds >= {"read", "RecordingError", "ConfigError"}
 
 
-def test_a_few_hundred(sound):
-    checked(sound, 300, 0)
+def test_a_hundred_and_fifty(sound):
+    checked(sound, 150, 0)
 
 
 @pytest.mark.slow
