@@ -74,15 +74,6 @@ def test_truncated_database_gives_rows_until_the_damage(originals, tmp_path):
     assert f"truncated: {path.stat().st_size} of {len(data)} bytes or more (70 %) are left" in note
 
 
-def test_missing_part_is_named_and_the_rest_is_used(tmp_path):
-    folder = r.write_bag2(tmp_path / "log", ITEMS)
-    text = (folder / "metadata.yaml").read_text()
-    (folder / "metadata.yaml").write_text(text.replace("- log.db3", "- gone.db3\n  - log.db3"))
-    with open_recording([folder]) as recording:
-        assert sum(1 for _ in recording.messages(["/ticks"])) == 60
-        assert any("gone.db3: no such file" in note for note in recording.damage)
-
-
 @pytest.mark.parametrize(("name", "flip", "said"), [("mcap-zstd", 255, ""), ("mcap-none", 1, "checksum")])
 def test_one_damaged_chunk_costs_only_its_messages(originals, tmp_path, name, flip, said):
     path = written(tmp_path, originals[name])
@@ -198,17 +189,6 @@ def test_an_unreadable_file_in_a_directory_is_named(tmp_path):
     r.write_mcap(tmp_path / "a_1.mcap", ITEMS)
     with open_recording([tmp_path]) as recording:
         assert recording.damage == (said,)
-
-
-def test_a_chunk_that_states_times_beyond_64_bits_is_read(originals, tmp_path):
-    path = written(tmp_path, originals["mcap-no-summary"])
-    with open_recording([path]) as recording:
-        last = max(recording.parts[0].blocks, key=lambda block: block.offset)
-    data = bytearray(path.read_bytes())
-    data[last.offset + 17 : last.offset + 25] = b"\xff" * 8  # after the head of the record and the first time
-    with open_recording([written(tmp_path, data)]) as recording:
-        assert len(r.every(recording)) == len(ITEMS)
-        assert recording.end_ns == ITEMS[-1].log_ns
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ import base64
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -13,8 +12,8 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import JointField, PictureIndex, Sources, WheelSource
-from mobilecal_cli.readers import open_recording, read_description, read_images
+from mobilecal_cli.model import JointField, Sources, WheelSource
+from mobilecal_cli.readers import open_recording, read_description
 from mobilecal_cli.readers.messages import stamp_of
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.resolve import complete_rig, survey_rig
@@ -207,26 +206,6 @@ def test_stamps_in_json_that_are_texts(tmp_path, text, stamp_ns):
     with open_recording([r.write_json(tmp_path / "log.mcap", messages)]) as recording:
         stamps = [stamp_of(message.decode(), 0) for message in recording.messages(["/j", "/eye"])]
     assert stamps == [stamp_ns, stamp_ns]
-
-
-def test_an_image_in_json_whose_stamp_is_no_number_is_left_out(tmp_path):
-    data = base64.b64encode(cv2.imencode(".png", r.picture(0))[1]).decode()
-    messages = [
-        (
-            "/eye",
-            ns,
-            "foxglove.CompressedImage",
-            {"timestamp": {"sec": sec, "nsec": 0}, "format": "png", "data": data},
-        )
-        for ns, sec in ((1, "?"), (2, 7))
-    ]
-    index = PictureIndex(*np.array([[7 * 10**9], [7 * 10**9], [2]]), sequential=True)
-    with open_recording([r.write_json(tmp_path / "log.mcap", messages)]) as recording:
-        ((_, time_ns, picture),) = read_images(
-            recording, Sources({"left": "/eye"}, {}, {}, {}), {"left": index}
-        )
-    assert time_ns == 7 * 10**9
-    assert np.array_equal(picture, r.picture(0))
 
 
 @pytest.mark.parametrize("definition", [b"", b"\xff\xff", b"\n\x07\n\x05a.foo"])

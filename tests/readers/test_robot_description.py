@@ -83,20 +83,6 @@ def test_calibrations_that_are_none_are_refused(arguments, message):
     assert "calibrate the camera" in caught.value.hint
 
 
-def infos(matrices) -> list[r.Item]:
-    return [r.Item(f"/camera{k}", r.START_NS, r.info(matrix)) for k, matrix in enumerate(matrices)]
-
-
-@pytest.mark.parametrize("calibrated", [(True, False, True), (False, False)])
-def test_uncalibrated_cameras_do_not_stop_the_others(tmp_path, calibrated):
-    path = r.write_mcap(tmp_path / "log.mcap", infos([K * known for known in calibrated]))
-    with open_recording([path]) as recording:
-        found = read_description(recording)
-    assert set(found.infos) == {f"/camera{k}" for k, known in enumerate(calibrated) if known}
-    assert len(found.infos) + len(found.unusable) == len(calibrated)
-    assert "/camera1: K is all zeros" in found.unusable["/camera1"].message
-
-
 def test_many_topics_are_read_in_one_pass(tmp_path, monkeypatch):
     """Each topic has fewer messages than are wanted. The channels are not gone through again for every topic."""
 

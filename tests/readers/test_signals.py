@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CLOCKS_DIFFER, Sources, WheelSource
-from mobilecal_cli.readers import clocks_that_differ, open_recording, read_signals
+from mobilecal_cli.readers import clocks_that_differ, open_recording
 from mobilecal_cli.readers.signals.series import in_order
 from mobilecal_cli.readers.signals.wheels import FieldWheel
 
@@ -71,19 +71,6 @@ def wheel_at(times_s, angles):
 
 def steady(count=10):
     return [(0.1 * k, at(0.1 * k), NAMES, [k, 2.0 * k, 3.0 * k]) for k in range(count)]
-
-
-def test_names_spread_over_topics(tmp_path):
-    items = [
-        *images(),
-        *joints([(0.1 * k, at(0.1 * k), ["wl", "wr"], [k, k]) for k in range(5)]),
-        *joints([(0.1 * k, at(0.1 * k), ["pan"], [k]) for k in range(7)], "/head"),
-        *joints([(0.1 * k, at(0.1 * k), ["tilt", "pan"], [k, -1]) for k in range(3)], "/other"),
-    ]
-    sources = replace(SOURCES, joints={"pan": "/head", "tilt": "/other"})
-    signals = signals_of(tmp_path, items, sources)
-    np.testing.assert_array_equal(signals.joints["pan"].value, np.arange(7))
-    np.testing.assert_array_equal(signals.joints["tilt"].value, np.arange(3))
 
 
 def test_velocities_are_integrated_where_positions_are_absent(tmp_path):
@@ -317,17 +304,6 @@ def test_a_driver_that_starts_again_in_a_pause(tmp_path, counts):
     assert any("to zero in a pause of 2.1 s (a driver that started again?)" in n for n in signals.notes)
 
 
-def test_a_wrong_velocity_of_a_wheel_is_a_jump(tmp_path):
-    times, angle = turning()
-    rate = np.gradient(angle, times)
-    expected = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(times))])
-    rate[100] = 1e6
-    rows = [(s, at(s), NAMES, [0, 0, 0], [0, v, 0]) for s, v in zip(times, rate, strict=True)]
-    signals = joints_read(tmp_path, rows)
-    np.testing.assert_allclose(signals.wheels["left"].value, expected, atol=0.02)
-    assert any("the rotation jumps 2 times" in note for note in signals.notes)
-
-
 @pytest.mark.parametrize(("rate", "slip"), [(4.0, 6.0), (40_000.0, 0.0), (0.01, 0.0)])
 def test_what_wheels_do_is_no_jump(tmp_path, rate, slip):
     """Also not a wheel that slips by less than a turn, readings in ticks, and one that hardly turns."""
@@ -509,17 +485,3 @@ def test_a_joint_with_one_good_reading_of_several_does_not_count_as_still(tmp_pa
     signals = signals_of(tmp_path, items, replace(SOURCES, joints={"pan": "/head"}))
     assert len(signals.joints["pan"].value) == 1
     assert not any("standing still" in note for note in signals.notes)
-
-
-def test_a_clock_that_steps_early_is_not_another_clock(tmp_path):
-    """Few images: most of their stamps are those after the step."""
-
-    def stamp(time_s):
-        return at(time_s + 5 * (time_s >= 3))
-
-    late = [(0.02 * k, stamp(0.02 * k), NAMES, [k, k, k]) for k in range(400)]
-    items = sorted([*images(40, 0.2, stamp), *joints(late)], key=lambda item: item.log_ns)
-    with open_recording([r.write_mcap(tmp_path / "log.mcap", items)]) as recording:
-        first, *_ = read_signals(recording, SOURCES)
-    assert any("steps forward by 5.000 s" in note for note in first.notes)
-    assert not any(CLOCKS_DIFFER in note for note in first.notes)

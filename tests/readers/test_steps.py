@@ -99,16 +99,6 @@ def test_clocks_of_two_computers_step_by_different_amounts():
         assert np.abs(after.time_ns / S - after.value[:, 0]).max() < 1e-3
 
 
-def test_two_steps_make_three_pieces():
-    one = samples("/j", step_s=5.0)
-    later = one.value[:, 0] > 30
-    twice = Samples("/j", "/j", one.stamp_ns - 12 * S * later, one.log_ns, one.value)
-    pieces, notes = cut([twice])
-    assert [len(piece[0]) for piece in pieces] == [1000, 501, 499]
-    sizes = [note.split(" s,")[0].split("steps ")[1] for note in notes]
-    assert sizes == ["forward by 5.000", "back by 12.000"]
-
-
 def test_what_is_no_step():
     usual = samples("/j")
     stray = usual.stamp_ns.copy()
