@@ -78,18 +78,6 @@ def test_priors_and_noise_replace_those_of_an_extraction(npz, tmp_path):
     assert kept.noise == {"floor_m": 0.001}
 
 
-def sigmas(npz, **priors):
-    """Constant → prior standard deviation, as the solver has it; fixed constants are none."""
-    layout = dataset_for(loaded(npz, **priors), Constraints()).layout
-    return {row.name: row.sigma for row in layout.constants}
-
-
-def test_the_solver_uses_them(npz):
-    fixed = sigmas(npz, priors__all="fixed")
-    assert fixed.keys() <= {"square_scale"}
-    assert sigmas(npz, priors__focal_length=0.0005)["focal_left"] == pytest.approx(5e-6)
-
-
 def test_priors_of_a_kind_hold_for_constants_that_a_recording_has_of_its_own(npz):
     """Entries for the places of corners were accepted and ignored, and "all: fixed" left them free."""
 

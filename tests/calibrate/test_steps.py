@@ -13,7 +13,6 @@ from mobilecal_cli.calibrate import steps
 from mobilecal_cli.calibrate.steps import Data, calibrate
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.extraction import extraction_to_npz
-from mobilecal_cli.solvers import constraints_of
 from tests.command import run
 from tests.conftest import REPOSITORY
 from tests.report.example import make_extraction, make_solution, report_on
@@ -47,14 +46,6 @@ def test_the_command_writes_the_same_files(tmp_path, monkeypatch):
     for name in ("params.yaml", "report.json", "report.html", "extraction.npz"):
         one, other = (tmp_path / folder / name for folder in ("by_command", "by_hand"))
         assert one.read_bytes() == other.read_bytes(), name
-
-
-def test_a_group_stands_for_its_kinds_of_constants():
-    kinds = ("stereo_rotation", "baseline_direction", "baseline_length")
-    assert constraints_of([], [], ["stereo"]).constants == kinds
-    with pytest.raises(ConfigError, match="--estimate streo: no such") as caught:
-        constraints_of([], [], ["streo"])
-    assert caught.value.hint == "did you mean stereo?"
 
 
 @pytest.fixture(scope="module")

@@ -91,24 +91,6 @@ def test_a_urdf_file_is_written_relative_to_the_rig(sample_logs, tmp_path, few):
     assert {lack.about for lack in found.missing} == {"motion"}  # the head never moves
 
 
-def test_swapped_cameras_are_asked_for(sample_logs, tmp_path, few):
-    """Left and right images under each other's name: nothing about the cameras is filled in as if it were right."""
-
-    def swapped(topic, message):
-        if not topic.endswith("camera_info"):
-            return message
-        p = message.p.copy()
-        p[3] *= -1
-        return replace(message, p=p)
-
-    log = edited(sample_logs / "head_fixed.mcap", tmp_path / "log.mcap", swapped)
-    made = draft([log])
-    (asked,) = [one for one in made.todo if one.needed]
-    assert "to the left of the left camera, according to camera_info" in asked.why
-    assert "square_m" in {one.key.split(".")[-1] for one in made.todo}
-    assert not any("Suggestion" in one.why for one in made.todo)
-
-
 def test_a_dark_room_has_no_board(sample_logs, tmp_path, few):
     from tests.commands.test_inspect import black_images
 

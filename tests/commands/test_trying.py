@@ -138,15 +138,6 @@ def test_evaluate_another_robot(result, tmp_path):
     assert "none.yaml: cannot be read" in missing.err
 
 
-def test_an_error_reaches_junit(tmp_path):
-    (tmp_path / "log.mcap").write_bytes(b"nothing")
-    done = run("calibrate", tmp_path / "log.mcap", "--junit", tmp_path / "junit.xml", cwd=tmp_path)
-    assert done.code == 3
-    error = ET.parse(tmp_path / "junit.xml").getroot().find("testsuite/testcase/error")
-    assert error.get("type") == "recording"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["junit.xml", "log.mcap"]
-
-
 def test_the_junit_file_of_an_earlier_run_does_not_stay(tmp_path, monkeypatch):
     """A run that SIGTERM ended left it, with PASS."""
     junit = tmp_path / "junit.xml"

@@ -39,13 +39,6 @@ def test_the_method_does_not_use_it(extraction, tmp_path, method, option):
     assert done.err.startswith(f"error: {option}: not used by --method {method}\nhint: ")
 
 
-@pytest.mark.parametrize("estimate", [",,,", " , "])
-def test_no_constant_is_named(extraction, tmp_path, estimate):
-    done = run("calibrate", extraction, "--estimate", estimate, cwd=tmp_path)
-    assert (done.code, done.left) == (2, [])
-    assert "names no constant" in done.err
-
-
 @pytest.mark.parametrize(
     ("fix", "prior", "estimate"),
     [

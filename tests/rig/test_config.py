@@ -135,15 +135,6 @@ def test_no_setting_takes_an_impossible_number(value):
             load_rig(None, {key: value})
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "hint"), [("board", "9x6", "board.kind=VALUE;"), ("priors", "free", "priors.all=free")]
-)
-def test_a_section_as_an_option_is_written_as_one(key, value, hint):
-    with pytest.raises(ConfigError, match=f"{key}: a section of keys, not a value") as caught:
-        load_rig(None, {key: value})
-    assert caught.value.hint.startswith(f"write {hint}")
-
-
 def test_settings_are_yaml():
     assert parse_settings(["wheels.left.sign=-1"]) == {"wheels.left.sign": -1}
     assert parse_settings(["cameras.rectified=true"]) == {"cameras.rectified": True}
@@ -159,12 +150,6 @@ def test_a_setting_without_a_value_is_no_default(bad):
     """An empty value silently meant the default."""
     with pytest.raises(ConfigError, match=re.escape(f"--set {bad}: ")):
         parse_settings([bad])
-
-
-def test_priors_are_numbers_or_words(write):
-    rig = load_rig(write("priors: {all: fixed, focal_length: 0.2, pan_zero: free}"), {"priors.clock": 5})
-    assert rig.priors == {"all": "fixed", "focal_length": 0.2, "pan_zero": "free", "clock": 5}
-    assert load_rig(None, parse_settings(["priors.focal_length=0"])).priors == {"focal_length": 0}
 
 
 @pytest.mark.parametrize("value", ["-0.1", ".nan", ".inf", "exact", "true", "[1]", "null"])
