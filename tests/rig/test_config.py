@@ -135,6 +135,15 @@ def test_no_setting_takes_an_impossible_number(value):
             load_rig(None, {key: value})
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "hint"), [("board", "9x6", "board.kind=VALUE;"), ("priors", "free", "priors.all=free")]
+)
+def test_a_section_as_an_option_is_written_as_one(key, value, hint):
+    with pytest.raises(ConfigError, match=f"{key}: a section of keys, not a value") as caught:
+        load_rig(None, {key: value})
+    assert caught.value.hint.startswith(f"write {hint}")
+
+
 def test_settings_are_yaml():
     assert parse_settings(["wheels.left.sign=-1"]) == {"wheels.left.sign": -1}
     assert parse_settings(["cameras.rectified=true"]) == {"cameras.rectified": True}

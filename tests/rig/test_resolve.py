@@ -525,6 +525,16 @@ def test_odometry_of_the_wheels_is_preferred(topics, frames, chosen):
     assert resolve_rig(RigConfig(), log)[0].sources.wheels["right"].topic == chosen
 
 
+def test_one_stated_wheel_is_not_completed_by_odometry():
+    """The other wheel was that of the odometry, which another driver reads: two sources in one leg."""
+    joints = {"/joint_states": (*HEAD_ONLY["/joint_states"], "motor_a", "motor_b")}
+    log = description(extra=odometry("/odom"), joint_names=joints)
+    with pytest.raises(ConfigError, match="no joint or counter is named as the left wheel") as caught:
+        resolve_rig(config(wheels={"right": {"joint": "motor_a"}}), log)
+    assert "wheels.left" in caught.value.hint
+    assert "motor_b" in caught.value.hint
+
+
 @pytest.mark.parametrize(
     ("topics", "said", "cure"),
     [
