@@ -272,7 +272,7 @@ def test_what_a_directory_holds_beside_recordings_is_counted(sample_logs, tmp_pa
         ("robots: []", "robots"),
         ("robots: [{name: a, logs: [x], rig: y}]", r"robots\.0\.rig: unknown key \(got 'y'\)$"),
         ("robots: [{name: a}]", r"robots\.0\.logs: missing$"),
-        ("robots: [{name: a, logs: []}]", r"yaml: robots\.0\.logs: [^;]* at least 1 item [^;]*$"),
+        ("robots: [{name: a, logs: []}]", r"yaml: robots\.0\.logs: [^;]* at least 1 item, [^;]*$"),
         ("robots: [{name: a, logs: [x], config: y.yaml}]", r"configuration of a: no such file: .*y\.yaml$"),
         *(
             (
