@@ -71,3 +71,8 @@ def test_the_failed_robots_are_listed_by_themselves_but_judged_in_their_fleet():
     assert "[outlier: t_x]" in failed_text(rows).splitlines()[-1]
     assert skipped.startswith("Skipped, already done: 7 ")
     assert failed_text(rows[:1]) == ""
+
+
+def test_an_error_and_its_hint_are_two_sentences():
+    page = fleet_html([FleetRow("r", "ERROR", 3, "no.mcap: not a recording", hint="check the path")])
+    assert "no.mcap: not a recording. Hint: check the path." in page
