@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from mobilecal_cli.comparison import difference as compare
     from mobilecal_cli.errors import MobilecalError
     from mobilecal_cli.measured import Drive, TargetPose, from_motions, from_poses
-    from mobilecal_cli.model import SensorMotion
+    from mobilecal_cli.model.observations import SensorMotion
 
 __version__ = "0.1.0"
 __all__ = [

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mobilecal_cli.model import BoolArray, Camera, FloatArray
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
+from mobilecal_cli.model.rig import Camera
 
 _NEWTON_STEPS = 60  # a few are usual; near the edge of a model's range, steps are short
 _CONVERGED = 1e-11  # distance in distorted z = 1 coordinates: 1e-8 px at f = 1000 px

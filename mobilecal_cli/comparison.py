@@ -15,8 +15,9 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.kinematics import unlike_joints
 from mobilecal_cli.likelihood.constants import joint_constants
 from mobilecal_cli.likelihood.predict import AHEAD_M, camera_in_base
-from mobilecal_cli.model import NINE, BoolArray, CalibratedRobot, FloatArray, Parameters, WheelGeometry
-from mobilecal_cli.model.arrays import ReadOnly
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, ReadOnly
+from mobilecal_cli.model.calibration import NINE, CalibratedRobot, Parameters
+from mobilecal_cli.model.rig import WheelGeometry
 
 #: Significance level.
 UNLIKELY = 0.01

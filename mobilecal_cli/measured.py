@@ -18,26 +18,22 @@ from mobilecal_cli.arguments import all_of, by_name, require
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.dataset import NOT_MEASURED
 from mobilecal_cli.likelihood.measurements import planar_pose
-from mobilecal_cli.model import (
-    NINE,
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.observations import Corners, Extraction, Observation, SensorMotion, WheelTrack
+from mobilecal_cli.model.rig import (
     Board,
     Camera,
     CameraRig,
-    Corners,
-    Extraction,
-    FloatArray,
     HeadChain,
-    Noise,
     Nominal,
-    Observation,
     Rig,
-    SensorMotion,
     Sources,
-    Track,
     WheelGeometry,
     WheelSource,
-    WheelTrack,
 )
+from mobilecal_cli.model.signals import Track
+from mobilecal_cli.model.solution import Noise
 from mobilecal_cli.ranges import SIGMA, number_of, of_parameter
 
 _TARGET: Final = Board(4, 3, 0.1)  # points of the target, for errors in mm

@@ -10,26 +10,20 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError, usable
 from mobilecal_cli.kinematics import encoder_step_rad
-from mobilecal_cli.model import (
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model.observations import WheelTrack
+from mobilecal_cli.model.rig import HeadChain, Side, camera_words, shots_words
+from mobilecal_cli.model.signals import (
     FEW_READINGS,
     NO_IMAGES,
-    BoolArray,
-    FloatArray,
-    HeadChain,
-    IntArray,
     PictureIndex,
     Rejection,
     Shot,
-    Side,
     Signals,
     Station,
     Track,
-    WheelTrack,
-    camera_words,
-    listed,
-    shots_words,
 )
-from mobilecal_cli.model.text import capitalized
+from mobilecal_cli.model.text import capitalized, listed
 
 PAIR_AT_REST_S = 0.1  # nothing moves, so the two images need not be simultaneous
 PAIR_MOVING_S = 0.005

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.export.text import decimal
-from mobilecal_cli.model import Board, Camera, CameraRig, FloatArray, IntArray
+from mobilecal_cli.model.arrays import FloatArray, IntArray
+from mobilecal_cli.model.rig import Board, Camera, CameraRig
 from mobilecal_cli.simulate import robot as described
 from mobilecal_cli.simulate.render import BoardRenderer, pixel_grid
 from mobilecal_cli.simulate.robot import JOINT_RATE_HZ, RobotJoint, SimulatedRobot, Vector, pose

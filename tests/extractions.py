@@ -14,16 +14,10 @@ from scipy.signal import lfilter
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import (
-    Board,
-    Camera,
-    Corners,
-    Extraction,
-    FloatArray,
-    Observation,
-    Track,
-    WheelTrack,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.observations import Corners, Extraction, Observation, WheelTrack
+from mobilecal_cli.model.rig import Board, Camera
+from mobilecal_cli.model.signals import Track
 from mobilecal_cli.simulate.record import nanoseconds
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import Route, plan_route

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from mobilecal_cli.model import Extraction, Parameters
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.observations import Extraction
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.fit import LikelihoodFit
 from mobilecal_cli.solvers.inference import Inference

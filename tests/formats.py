@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from mobilecal_cli.export.formats import Source, format_of
-from mobilecal_cli.model import AtWork, Budget, Noise, NoiseLevels, Uncertainty
+from mobilecal_cli.model.findings import AtWork, Budget
+from mobilecal_cli.model.solution import Noise, NoiseLevels, Uncertainty
 from mobilecal_cli.targets import Target
 
 HEAD_EYE = tuple(

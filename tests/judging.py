@@ -1,6 +1,6 @@
 """The verdict on a solution, without the report."""
 
-from mobilecal_cli.model import Provenance
+from mobilecal_cli.model.solution import Provenance
 from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.verdict import Verdict, verdict_of
 

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli import stations, vision
-from mobilecal_cli.model import SIDES, CameraRig, Corners, Observation, PictureIndex
+from mobilecal_cli.model.observations import Corners, Observation
+from mobilecal_cli.model.rig import SIDES, CameraRig
+from mobilecal_cli.model.signals import PictureIndex
 from mobilecal_cli.vision import pose as geometry
 
 

@@ -8,17 +8,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import (
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.observations import Corners, Extraction, Observation
+from mobilecal_cli.model.rig import (
     SIDES,
     CameraRig,
-    Corners,
-    Extraction,
     FixedLink,
-    FloatArray,
     HeadChain,
     JointLink,
     Nominal,
-    Observation,
     Rig,
     Side,
     Sources,

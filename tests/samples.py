@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from mobilecal_cli.model import Board
+from mobilecal_cli.model.rig import Board
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.scenario import Scenario, World

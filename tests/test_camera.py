@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mobilecal_cli.camera import lens_terms_up_to, project, project_with_jacobian, undistorted
-from mobilecal_cli.model import Camera, LensCorrection
+from mobilecal_cli.model.rig import Camera, LensCorrection
 
 K = np.array([[533.5, 0.0, 341.6], [0.0, 531.0, 235.2], [0.0, 0.0, 1.0]])
 TILTED = [0.31, -0.12, 0.001, -0.0007, 0.01, 0.6, -0.05, 0.02, 0.002, -0.001, 0.003, 0.0007, 0.03, -0.02]

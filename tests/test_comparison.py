@@ -10,17 +10,9 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.comparison import broken_limits, difference, history
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import (
-    NINE,
-    CalibratedRobot,
-    FixedLink,
-    HeadChain,
-    JointLink,
-    Knowledge,
-    LogSource,
-    Nominal,
-    WheelGeometry,
-)
+from mobilecal_cli.model.calibration import NINE, CalibratedRobot, Knowledge
+from mobilecal_cli.model.observations import LogSource
+from mobilecal_cli.model.rig import FixedLink, HeadChain, JointLink, Nominal, WheelGeometry
 from mobilecal_cli.report.comparison import (
     Comparison,
     change_from_nominal,

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import HeadChain, JointLink, PictureIndex, Shot, Signals, Track
+from mobilecal_cli.model.rig import HeadChain, JointLink
+from mobilecal_cli.model.signals import PictureIndex, Shot, Signals, Track
 from mobilecal_cli.stations import KEYFRAMES, SHOTS_PER_REST, plan_stations, wheel_track
 from tests.pairs import pair_images
 

@@ -9,7 +9,9 @@ from mobilecal_cli import se3
 from mobilecal_cli.likelihood.constants import Layout
 from mobilecal_cli.likelihood.predict import expected, weights_of
 from mobilecal_cli.likelihood.priors import Priors
-from mobilecal_cli.model import NINE, FloatArray, Parameters, WheelGeometry
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE, Parameters
+from mobilecal_cli.model.rig import WheelGeometry
 from mobilecal_cli.simulate.robot import SimulatedRobot
 
 

@@ -20,17 +20,9 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.gaps import clocks_noted
 from mobilecal_cli.calibrate.workers import FAILED, answer, processes, resources
 from mobilecal_cli.errors import ObservationError, RecordingError
-from mobilecal_cli.model import (
-    DEPTH_IMAGE,
-    Board,
-    CameraRig,
-    GrayImage,
-    PictureIndex,
-    Rejection,
-    Rig,
-    Signals,
-    Station,
-)
+from mobilecal_cli.model.arrays import GrayImage
+from mobilecal_cli.model.rig import Board, CameraRig, Rig
+from mobilecal_cli.model.signals import DEPTH_IMAGE, PictureIndex, Rejection, Signals, Station
 from mobilecal_cli.model.text import listed
 from mobilecal_cli.readers import Recording, open_recording, read_images, read_signals
 from mobilecal_cli.stations import Plan, images_of, plan_stations, spread

@@ -13,7 +13,10 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, 
 from mobilecal_cli.kinematics import unlike_joints
 from mobilecal_cli.likelihood.constants import table
 from mobilecal_cli.likelihood.effects import CameraEffect
-from mobilecal_cli.model import CalibratedRobot, Extraction, Nominal, Solution
+from mobilecal_cli.model.calibration import CalibratedRobot
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import Nominal
+from mobilecal_cli.model.solution import Solution
 from mobilecal_cli.model.text import listed
 from mobilecal_cli.report.evaluation import Evaluated, judge_evaluation
 from mobilecal_cli.report.motion import motion_gaps

@@ -21,16 +21,12 @@ from mobilecal_cli.export.improved import improved_chain
 from mobilecal_cli.export.scene import Motion, Scene, Unused
 from mobilecal_cli.kinematics import cut_at, head_pose, integrate
 from mobilecal_cli.likelihood.constants import clock_s
-from mobilecal_cli.model import (
-    SIDES,
-    CalibratedRobot,
-    Extraction,
-    FloatArray,
-    Outlier,
-    Rejection,
-    Residuals,
-    Side,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import CalibratedRobot
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import SIDES, Side
+from mobilecal_cli.model.signals import Rejection
+from mobilecal_cli.model.solution import Outlier, Residuals
 from mobilecal_cli.readers import join_splits, open_recording, sha256_of
 from mobilecal_cli.solvers.residuals import at_constants, residuals_of
 from mobilecal_cli.solvers.transfer import base_motion

@@ -24,7 +24,9 @@ from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, causes_noted, clocks_n
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.export.extraction import THUMBNAILS
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.model import (
+from mobilecal_cli.model.observations import Corners, Extraction, LogSource, Observation, Snapshot
+from mobilecal_cli.model.rig import Board, Rig
+from mobilecal_cli.model.signals import (
     CAMERA_INFO,
     CAMERA_INFO_CHANGES,
     CHAIN_ENDS,
@@ -34,15 +36,8 @@ from mobilecal_cli.model import (
     STRING,
     TRANSFORMS,
     UNUSED,
-    Board,
-    Corners,
-    Extraction,
-    LogSource,
-    Observation,
     Rejection,
-    Rig,
     RobotDescription,
-    Snapshot,
     Track,
 )
 from mobilecal_cli.model.text import capitalized, listed

@@ -10,7 +10,8 @@ import numpy as np
 
 from mobilecal_cli.errors import MobilecalError, ObservationError, SolveError, noting
 from mobilecal_cli.kinematics import FEWEST_LEGS, unseen_height
-from mobilecal_cli.model import CLOCKS_DIFFER, Extraction, Reason
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.signals import CLOCKS_DIFFER, Reason
 from mobilecal_cli.report.motion import Gap, motion_gaps, nearer
 from mobilecal_cli.stations import FROZEN, NO_READINGS
 from mobilecal_cli.vision import readable_words

@@ -25,24 +25,18 @@ from mobilecal_cli.errors import ConfigError, ObservationError, QualityError, Re
 from mobilecal_cli.kinematics import cut_at, integrate, unseen_height
 from mobilecal_cli.likelihood.constants import table
 from mobilecal_cli.likelihood.processes import path_m
-from mobilecal_cli.model import (
+from mobilecal_cli.model.arrays import GrayImage, IntArray
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.observations import LogSource, WheelTrack
+from mobilecal_cli.model.rig import SIDES, Board, CameraRig, Rig, Sources
+from mobilecal_cli.model.signals import (
     CAMERA_INFO_CHANGES,
-    NINE,
-    SIDES,
-    Board,
     BoardView,
-    CameraRig,
-    GrayImage,
-    IntArray,
-    LogSource,
     PictureIndex,
     Rejection,
-    Rig,
     Signals,
-    Sources,
     Station,
     TopicInfo,
-    WheelTrack,
     sampled,
 )
 from mobilecal_cli.readers import (

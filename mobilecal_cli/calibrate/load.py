@@ -17,7 +17,9 @@ from mobilecal_cli.export.extraction import extraction_from_npz, snapshots_from_
 from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.files.reading import LARGEST_BYTES, read_text
 from mobilecal_cli.likelihood.constants import camera_change, table
-from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Parameters, Snapshot
+from mobilecal_cli.model.calibration import CalibratedRobot, Parameters
+from mobilecal_cli.model.observations import Extraction, Snapshot
+from mobilecal_cli.model.rig import SIDES
 from mobilecal_cli.readers import looks_recorded
 from mobilecal_cli.rig.config import RigConfig, checked_settings
 from mobilecal_cli.rig.settings import refuse_others, settings_of, with_settings

@@ -23,22 +23,12 @@ from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.outputs import check_output, recognized_output, write_outputs
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml, with_verdict
 from mobilecal_cli.kinematics import FEWEST_LEGS
-from mobilecal_cli.model import (
-    CHAIN_ENDS,
-    CHAIN_LACKS,
-    CLOCK_SET,
-    CLOCK_STEPS,
-    FEW_READINGS,
-    CalibratedRobot,
-    CameraRig,
-    Evaluation,
-    Extraction,
-    FloatArray,
-    Method,
-    Parameters,
-    Provenance,
-    Solution,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import CalibratedRobot, Parameters
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import CameraRig
+from mobilecal_cli.model.signals import CHAIN_ENDS, CHAIN_LACKS, CLOCK_SET, CLOCK_STEPS, FEW_READINGS
+from mobilecal_cli.model.solution import Evaluation, Method, Provenance, Solution
 from mobilecal_cli.ranges import HOLD_OUT
 from mobilecal_cli.report.comparison import change_from_nominal, change_since
 from mobilecal_cli.report.criteria import Case

@@ -11,7 +11,8 @@ import numpy as np
 
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.text import decimal
-from mobilecal_cli.model import Board, FloatArray, Markers
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import Board, Markers
 from mobilecal_cli.targets import Paper
 
 _CHARACTER = 0.6  # width of a character of Courier, in shares of its size

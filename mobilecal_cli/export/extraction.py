@@ -19,19 +19,10 @@ from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, Valid
 from mobilecal_cli import __version__
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.files.reading import problems_of
-from mobilecal_cli.model import (
-    Board,
-    Corners,
-    Extraction,
-    LogSource,
-    Observation,
-    Rejection,
-    Rig,
-    Snapshot,
-    Track,
-    WheelTrack,
-    dtypes,
-)
+from mobilecal_cli.model.arrays import dtypes
+from mobilecal_cli.model.observations import Corners, Extraction, LogSource, Observation, Snapshot, WheelTrack
+from mobilecal_cli.model.rig import Board, Rig
+from mobilecal_cli.model.signals import Rejection, Track
 
 SCHEMA_VERSION = 11
 #: Most stations with a small image.

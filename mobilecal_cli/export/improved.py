@@ -13,7 +13,8 @@ from mobilecal_cli.kinematics import joint_frames, joint_motion, unlike_joints
 from mobilecal_cli.kinematics.urdf import Urdf, chain_links
 from mobilecal_cli.likelihood.constants import camera_change, corrected_chain, joint_constants, table
 from mobilecal_cli.likelihood.effects import CameraEffect, JointReading
-from mobilecal_cli.model import Camera, CameraRig, FloatArray, HeadChain, Rig
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import Camera, CameraRig, HeadChain, Rig
 
 #: Largest acceptable difference between a distortion model and the estimated lens.
 _LENS_PX = 0.1

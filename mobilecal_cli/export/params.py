@@ -25,23 +25,12 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.text import dump, rendered
 from mobilecal_cli.files.reading import mapping_of, problems_of
 from mobilecal_cli.likelihood.constants import CONSTANTS, KIND_GROUPS, KINDS, joint_constants, kind_of
-from mobilecal_cli.model import (
-    FACTORS,
-    NINE,
-    AssumedOdometry,
-    CalibratedRobot,
-    EstimatedConstant,
-    Extraction,
-    FloatArray,
-    HeadChain,
-    Knowledge,
-    LogSource,
-    Provenance,
-    Setting,
-    Solution,
-    WheelGeometry,
-    camera_words,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE, CalibratedRobot, Knowledge
+from mobilecal_cli.model.findings import EstimatedConstant
+from mobilecal_cli.model.observations import Extraction, LogSource
+from mobilecal_cli.model.rig import FACTORS, AssumedOdometry, HeadChain, WheelGeometry, camera_words
+from mobilecal_cli.model.solution import Provenance, Setting, Solution
 from mobilecal_cli.rig.config import Pose, Radius, RigConfig, Separation, WheelsNominal, checked_settings
 
 #: The beginning of every params.yaml, by which --force recognizes an output directory.

@@ -10,14 +10,11 @@ from typing import NamedTuple
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.improved import improved_cameras
-from mobilecal_cli.model import (
-    CalibratedRobot,
-    CameraRig,
-    Extraction,
-    FloatArray,
-    IntArray,
-    Residuals,
-)
+from mobilecal_cli.model.arrays import FloatArray, IntArray
+from mobilecal_cli.model.calibration import CalibratedRobot
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import CameraRig
+from mobilecal_cli.model.solution import Residuals
 
 
 @dataclass(frozen=True, slots=True, eq=False)

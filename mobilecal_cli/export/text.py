@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import Setting
+from mobilecal_cli.model.solution import Setting
 from mobilecal_cli.model.text import visible
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import FixedLink, FloatArray, HeadChain, JointLink
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import FixedLink, HeadChain, JointLink
 from mobilecal_cli.model.text import visible
 
 # Larger differences are those of another chain: of lengths in m, of the elements of rotation matrices and axes.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model.arrays import FloatArray
 
 TILTED_RAD = math.radians(3.0)  # in a smaller range, the rotation axes are practically parallel for Tsai-Lenz
 TURNED_RAD = 0.1  # wheel rotation: about 2.5 degrees of heading with typical wheels

@@ -14,7 +14,8 @@ from defusedxml.ElementTree import ParseError, fromstring
 
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import FixedLink, FloatArray, JointLink
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import FixedLink, JointLink
 from mobilecal_cli.model.text import listed
 
 _AXIS_DEFAULT = "1 0 0"  # default of the URDF specification

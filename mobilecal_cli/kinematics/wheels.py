@@ -9,7 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Track, WheelGeometry, WheelTrack
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model.observations import WheelTrack
+from mobilecal_cli.model.rig import WheelGeometry
+from mobilecal_cli.model.signals import Track
 
 _ROUNDING_RAD = 1e-9  # of readings that are printed with nine digits
 _WHOLE_STEPS = 0.01  # a sound change is so near to a whole number of steps

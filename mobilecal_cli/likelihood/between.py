@@ -8,7 +8,9 @@ import numpy as np
 from scipy.special import chdtrc, stdtrit
 
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.model import NINE, BetweenLogs, BoolArray, FloatArray
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.findings import BetweenLogs
 
 _SHOWN = 1.0  # a recording shows a direction that it knows better than its scale
 _SHARE = 0.1  # largest share of a shown parameter in directions that are not shown

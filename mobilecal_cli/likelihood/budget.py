@@ -14,7 +14,8 @@ from mobilecal_cli.likelihood.measurements import ERRORS, JOINTS, SWAY
 from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.views import of_each_image, roots, summed, whitened_rows
-from mobilecal_cli.model import NINE, FloatArray, IntArray
+from mobilecal_cli.model.arrays import FloatArray, IntArray
+from mobilecal_cli.model.calibration import NINE
 
 _NO_REDUNDANCY = 1e-6
 #: The constant that stands for the size of the world in the images.

@@ -35,16 +35,9 @@ from mobilecal_cli.likelihood.effects import (
     sheared,
     twisted,
 )
-from mobilecal_cli.model import (
-    NINE,
-    SIDES,
-    CameraRig,
-    FloatArray,
-    HeadChain,
-    JointLink,
-    WheelGeometry,
-    camera_words,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.rig import SIDES, CameraRig, HeadChain, JointLink, WheelGeometry, camera_words
 
 # Prior sigmas of the nine: what a drawing or a ruler gives without any recording.
 NINE_SIGMAS = np.array([0.2, 0.2, 0.2, 0.1, 0.1, 0.1])  # rad, m; wheels: a share of their size

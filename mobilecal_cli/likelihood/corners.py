@@ -17,7 +17,7 @@ from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ImageEffect
 from mobilecal_cli.likelihood.measurements import LEAST_DEPTH_M
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.model import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
 
 FEWEST_CORNERS = 4  # of one station, in all images together: fewer do not hold a board pose
 _AT_ONCE = 2700  # corners

@@ -11,7 +11,9 @@ import numpy as np
 from mobilecal_cli.kinematics import between_steps, encoder_steps_rad
 from mobilecal_cli.likelihood.constants import Constant, Layout, kind_of
 from mobilecal_cli.likelihood.measurements import Measurements, legs_between, steps_between
-from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Observation, Track, WheelTrack
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model.observations import Extraction, Observation, WheelTrack
+from mobilecal_cli.model.signals import Track
 
 #: Kind of measurement that is used or not as a whole → its degrees of freedom: a station's images, a leg's wheels,
 #: and a joint reading.

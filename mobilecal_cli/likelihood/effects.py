@@ -17,7 +17,8 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Increments, JointFrames, Unevenness
 from mobilecal_cli.likelihood.measurements import Measurements
-from mobilecal_cli.model import BoolArray, CameraRig, FloatArray, HeadChain, JointLink, LensCorrection
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
+from mobilecal_cli.model.rig import CameraRig, HeadChain, JointLink, LensCorrection
 
 
 class Effect:

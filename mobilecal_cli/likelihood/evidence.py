@@ -11,7 +11,8 @@ from mobilecal_cli.likelihood.constants import FAMILIES, UNSTATED, Constant, fam
 from mobilecal_cli.likelihood.linearization import solvable
 from mobilecal_cli.likelihood.patterns import UNDERSTATED
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.model import Evidence, EvidenceValue, FloatArray
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.findings import Evidence, EvidenceValue
 
 _LEAST_CHANCE = 1e-300
 _FIXED = 1e-12  # rad, m: standard deviation of a parameter that is fixed, up to rounding

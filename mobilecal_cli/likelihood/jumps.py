@@ -23,7 +23,8 @@ from mobilecal_cli.likelihood.evidence import equivalent_sigmas, from_chance
 from mobilecal_cli.likelihood.legs import residuals_moved
 from mobilecal_cli.likelihood.measurements import FLOOR
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.model import BoolArray, FloatArray, IntArray, camera_words
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model.rig import camera_words
 
 _FEWEST_EACH_SIDE = 2  # stations before and after a change: one alone is an outlier
 _MOST_MOMENTS = 60  # that are compared; around the best one, all

@@ -23,7 +23,9 @@ from mobilecal_cli.likelihood.measurements import (
 )
 from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, path_m, rolled_m
 from mobilecal_cli.likelihood.state import State, Step, planar
-from mobilecal_cli.model import FloatArray, Noise, WheelGeometry
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import WheelGeometry
+from mobilecal_cli.model.solution import Noise
 
 SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a wheel that rolls on a firm floor
 _STANDSTILL_M, _STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, not even one without motion

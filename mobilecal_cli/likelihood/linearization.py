@@ -17,7 +17,8 @@ from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import Processes, processes_of
 from mobilecal_cli.likelihood.state import State, Step
 from mobilecal_cli.likelihood.views import Views, linearize_views
-from mobilecal_cli.model import EXACT, FloatArray, Noise
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.solution import EXACT, Noise
 
 _LEGS = ("legs", "leg_covariance")  # what does not depend on the images, or on which measurements are used
 FREE_JOINT = 1.0  # rad or m: sigma of a rejected joint reading

@@ -12,19 +12,11 @@ from scipy.optimize import nnls
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Increments, cut_at, head_pose, join
-from mobilecal_cli.model import (
-    BoolArray,
-    Camera,
-    CameraRig,
-    FloatArray,
-    HeadChain,
-    IntArray,
-    Noise,
-    SensorMotion,
-    Sources,
-    Track,
-    WheelTrack,
-)
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model.observations import SensorMotion, WheelTrack
+from mobilecal_cli.model.rig import Camera, CameraRig, HeadChain, Sources
+from mobilecal_cli.model.signals import Track
+from mobilecal_cli.model.solution import Noise
 
 LEAST_DEPTH_M = 0.01  # of a point that a camera may show
 _RATE_NS = 40_000_000  # rates of wheels are differences over this time

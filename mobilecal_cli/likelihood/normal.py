@@ -17,7 +17,8 @@ from mobilecal_cli.likelihood.linearization import Linearization, solvable
 from mobilecal_cli.likelihood.measurements import BASE, ERRORS
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.likelihood.views import roots, summed
-from mobilecal_cli.model import EXACT, FloatArray, IntArray
+from mobilecal_cli.model.arrays import FloatArray, IntArray
+from mobilecal_cli.model.solution import EXACT
 
 _FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
 _AS_NOTHING = 1e-6  # of the information of a stated prior: rounding may be so large

@@ -32,7 +32,9 @@ from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ImageEffect
 from mobilecal_cli.likelihood.measurements import BY_STATION
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.model import FloatArray, Parameters, WheelGeometry, camera_words
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.rig import WheelGeometry, camera_words
 
 _CORNERS, _LENS = "board_corners", "lens_waves"
 #: Of the variance of a direction: a sigma by 2.5 %.

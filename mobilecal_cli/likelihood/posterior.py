@@ -19,7 +19,8 @@ from mobilecal_cli.likelihood.measurements import ERRORS
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, station_rows
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.likelihood.views import summed
-from mobilecal_cli.model import NINE, FloatArray
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE
 
 _SCATTERS = 5.0  # of what noise alone would show, in its standard deviations
 _UPRIGHT = 0.5  # length of what is free of the vertical, beyond which the height is free

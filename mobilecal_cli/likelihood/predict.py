@@ -13,7 +13,11 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.constants import PATTERNS, camera_change, corrected_chain, table
 from mobilecal_cli.likelihood.effects import INTRINSICS, CameraEffect, Clock, FloorEffect
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.model import AtWork, CameraRig, FloatArray, HeadChain, Parameters, Solution
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.findings import AtWork
+from mobilecal_cli.model.rig import CameraRig, HeadChain
+from mobilecal_cli.model.solution import Solution
 
 STEP = 1e-6  # of a constant, rad, m, px or a share, for differences
 #: Distance of the point ahead of the camera whose position error is predicted, m.

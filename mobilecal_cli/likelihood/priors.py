@@ -10,7 +10,8 @@ import numpy as np
 
 from mobilecal_cli.likelihood.constants import Layout, family
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.model import NINE, BoolArray, FloatArray, Parameters
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
+from mobilecal_cli.model.calibration import NINE, Parameters
 
 
 @dataclass(frozen=True, eq=False)

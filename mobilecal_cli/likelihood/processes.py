@@ -17,7 +17,9 @@ from mobilecal_cli.kinematics import Increments
 from mobilecal_cli.likelihood.dataset import Inliers
 from mobilecal_cli.likelihood.measurements import ENCODERS, ERRORS, FLOOR, SCALES
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.model import EXACT, FloatArray, Noise, WheelGeometry
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import WheelGeometry
+from mobilecal_cli.model.solution import EXACT, Noise
 
 #: Noise level of each error, in the order of `ERRORS`.
 LEVELS = (*["encoder_rad"] * 2, *["floor_rad"] * 2, "floor_m", *["wheel_share"] * 2, "stamp_s")

@@ -13,7 +13,7 @@ from mobilecal_cli.likelihood.linearization import FREE_JOINT
 from mobilecal_cli.likelihood.measurements import JOINTS
 from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy
 from mobilecal_cli.likelihood.views import Views, roots
-from mobilecal_cli.model import BoolArray, FloatArray
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
 
 #: Smaller discrepancies never make an outlier, however small the noise is: they do not matter at work.
 SMALL_M, SMALL_RAD = 3e-4, float(np.radians(0.005))

@@ -25,7 +25,9 @@ from mobilecal_cli.likelihood.effects import (
     Rolling,
 )
 from mobilecal_cli.likelihood.measurements import BASE, FLOOR, JOINTS, STAMP, SWAY, planar_pose
-from mobilecal_cli.model import CameraRig, FloatArray, HeadChain, Parameters
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.rig import CameraRig, HeadChain
 
 _E = TypeVar("_E", bound=Effect)
 

@@ -23,7 +23,10 @@ from mobilecal_cli.likelihood.measurements import (
 from mobilecal_cli.likelihood.normal import station_rows
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.model import NINE, BoolArray, FloatArray, Suggestion, WheelTrack
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.findings import Suggestion
+from mobilecal_cli.model.observations import WheelTrack
 
 #: Accuracy that a robot needs, rad, m, and of the wheels themselves: the least certain parameter is the worst of it.
 NEEDED = np.full(9, 0.003)

@@ -18,7 +18,8 @@ from mobilecal_cli.likelihood.dataset import Dataset, Inliers
 from mobilecal_cli.likelihood.effects import CameraEffect, ChainEffect, Clock, FloorEffect, JointReading
 from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
 from mobilecal_cli.likelihood.state import State, Step, standing
-from mobilecal_cli.model import FloatArray, IntArray, Noise
+from mobilecal_cli.model.arrays import FloatArray, IntArray
+from mobilecal_cli.model.solution import Noise
 
 _ROUNDING = 1e-12  # of the cost of images that are so far off that it is all that is left
 #: Attribute of `CameraChange` of which each image has its own value, with several cameras → level of that noise.

@@ -12,14 +12,14 @@ from typing import TypeVar
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import (
+from mobilecal_cli.model.rig import CameraInfo
+from mobilecal_cli.model.signals import (
     CAMERA_INFO,
     IMAGES,
     JOINT_STATE,
     ODOMETRY,
     STRING,
     TRANSFORMS,
-    CameraInfo,
     NumberField,
     RobotDescription,
 )

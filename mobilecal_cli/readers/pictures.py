@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import DEPTH_IMAGE, GrayImage, PictureIndex, Rejection, Sources, StereoLayout
+from mobilecal_cli.model.arrays import GrayImage
+from mobilecal_cli.model.rig import Sources, StereoLayout
+from mobilecal_cli.model.signals import DEPTH_IMAGE, PictureIndex, Rejection
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, codec_of, stamp_of

@@ -16,28 +16,21 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import encoder_steps_rad
 from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.likelihood.constants import ASSUMED, NINE_SIGMAS, family, kind_of
-from mobilecal_cli.model import (
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.findings import CONTRADICTION_SIGMAS, MATERIAL_SIGMAS, STAMP_NOISE_S, WHEEL_NOISE
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import FACTORS, camera_words
+from mobilecal_cli.model.signals import (
     CAMERA_INFO_CHANGES,
     CHAIN_ENDS,
     CHAIN_LACKS,
     CLOCK_STEPS,
-    CONTRADICTION_SIGMAS,
-    FACTORS,
-    MATERIAL_SIGMAS,
-    NINE,
     NO_IMAGES,
-    STAMP_NOISE_S,
     TURNS_AT_REST,
     UNUSED,
-    WHEEL_NOISE,
-    ErrorPart,
-    Evaluation,
-    Extraction,
-    FloatArray,
-    Solution,
-    camera_words,
-    largest_mean_square,
 )
+from mobilecal_cli.model.solution import ErrorPart, Evaluation, Solution, largest_mean_square
 from mobilecal_cli.model.text import capitalized, visible
 from mobilecal_cli.report.criteria import CHANGED, Case, Check, Metric, Outcome, criterion
 from mobilecal_cli.report.findings import ERROR_PARTS, contradiction_sentences

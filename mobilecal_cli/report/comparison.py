@@ -12,7 +12,9 @@ import numpy as np
 from mobilecal_cli.comparison import UNLIKELY, Difference, History, difference, history, nine_apart
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.predict import AHEAD_M
-from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE, CalibratedRobot
+from mobilecal_cli.model.rig import Nominal
 from mobilecal_cli.model.text import listed, visible, wrapped
 from mobilecal_cli.report.formats import NumberRow, Table, json_text
 from mobilecal_cli.report.numbers import PARAMETERS, decimals_of, parameters_of, percent_text, std_text

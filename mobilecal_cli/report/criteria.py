@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, NamedTuple
 
-from mobilecal_cli.model import Evaluation, Extraction, Provenance, Solution
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.solution import Evaluation, Provenance, Solution
 from mobilecal_cli.model.text import capitalized, wrapped
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.use import uses

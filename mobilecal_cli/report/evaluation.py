@@ -15,17 +15,11 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.likelihood.predict import camera_in_base
-from mobilecal_cli.model import (
-    MOST_ERROR_PX,
-    NINE,
-    CalibratedRobot,
-    Drift,
-    Evaluation,
-    Extraction,
-    FloatArray,
-    HeadChain,
-    Solution,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE, CalibratedRobot
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import HeadChain
+from mobilecal_cli.model.solution import MOST_ERROR_PX, Drift, Evaluation, Solution
 from mobilecal_cli.model.text import capitalized, wrapped
 from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms, unexplained
 from mobilecal_cli.report.criteria import Check, Metric, Outcome, check_lines

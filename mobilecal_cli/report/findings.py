@@ -6,7 +6,10 @@ import math
 from collections.abc import Iterator, Sequence
 
 from mobilecal_cli.likelihood.constants import kind_of
-from mobilecal_cli.model import NINE, Evidence, Extraction, Outlier, Solution, Suggestion
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.findings import Evidence, Suggestion
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.solution import Outlier, Solution
 from mobilecal_cli.model.text import capitalized, visible
 from mobilecal_cli.report.numbers import decimals_of, parameters_of, station_names, std_text, value_text
 from mobilecal_cli.report.use import STATED

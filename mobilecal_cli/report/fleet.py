@@ -12,7 +12,9 @@ import numpy as np
 from pydantic import ConfigDict
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import FACTORS, NINE, FloatArray
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.rig import FACTORS
 from mobilecal_cli.model.text import listed, visible
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import PARAMETERS, std_text, value_text

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, TypeAlias, TypeVar, cast, dataclass_
 import numpy as np
 from pydantic import GetPydanticSchema
 
-from mobilecal_cli.model import BoolArray, FloatArray
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
 from mobilecal_cli.model.text import visible
 
 Number: TypeAlias = float | None

@@ -10,8 +10,9 @@ from typing import Any, Literal
 
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics import unseen_height
-from mobilecal_cli.model import SIDES, BoardView, CameraRig, Rig, listed
-from mobilecal_cli.model.text import visible, wrapped
+from mobilecal_cli.model.rig import SIDES, CameraRig, Rig
+from mobilecal_cli.model.signals import BoardView
+from mobilecal_cli.model.text import listed, visible, wrapped
 from mobilecal_cli.report.formats import Table, json_text
 from mobilecal_cli.rig.draft import Draft
 from mobilecal_cli.rig.resolve import Survey

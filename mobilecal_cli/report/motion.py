@@ -19,7 +19,11 @@ from mobilecal_cli.kinematics import (
     motion_seen,
     unseen_height,
 )
-from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, Reason, WheelTrack
+from mobilecal_cli.model.arrays import FloatArray, IntArray
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.observations import Extraction, WheelTrack
+from mobilecal_cli.model.rig import HeadChain
+from mobilecal_cli.model.signals import Reason
 from mobilecal_cli.report.numbers import rejection_counts
 
 _HEAD_M = 0.5  # that the motion of a head alone moves a camera, at most

@@ -14,16 +14,11 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_eye_words
-from mobilecal_cli.model import (
-    FACTORS,
-    NINE,
-    WHEEL_WORDS,
-    Extraction,
-    FloatArray,
-    Rig,
-    Solution,
-    WheelGeometry,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE, WHEEL_WORDS
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import FACTORS, Rig, WheelGeometry
+from mobilecal_cli.model.solution import Solution
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.formats import JsonValue, Table
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-from mobilecal_cli.model import Snapshot
+from mobilecal_cli.model.observations import Snapshot
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.formats import json_text

@@ -16,16 +16,11 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.likelihood.predict import AHEAD_M, projection_std_px
-from mobilecal_cli.model import (
-    NINE,
-    Corners,
-    Extraction,
-    FloatArray,
-    Snapshot,
-    Solution,
-    WheelGeometry,
-    camera_words,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.observations import Corners, Extraction, Snapshot
+from mobilecal_cli.model.rig import WheelGeometry, camera_words
+from mobilecal_cli.model.solution import Solution
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import CELLS, image_coverage, station_names, std_text
 from mobilecal_cli.report.svg import HALF, NARROW, WIDE, Axes, Canvas, Scale

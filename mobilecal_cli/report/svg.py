@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model.arrays import FloatArray
 from mobilecal_cli.model.text import visible
 
 _Value = TypeVar("_Value", float, FloatArray)

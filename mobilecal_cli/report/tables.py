@@ -8,7 +8,8 @@ from typing import TypeAlias
 import numpy as np
 
 from mobilecal_cli.likelihood.constants import kind_of
-from mobilecal_cli.model import NINE, SIDES, HeadChain
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.rig import SIDES, HeadChain
 from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.evaluation import EvaluationData, evaluation_tables
 from mobilecal_cli.report.formats import Table, like

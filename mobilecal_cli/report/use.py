@@ -8,7 +8,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from mobilecal_cli.likelihood.constants import FREED_SIGMAS, family, kind_of
-from mobilecal_cli.model import NINE, AtWork, Budget, Extraction, Solution
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.findings import AtWork, Budget
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.solution import Solution
 from mobilecal_cli.ranges import ACCURACY, accuracy
 from mobilecal_cli.report.numbers import DEG, std_text
 

@@ -15,20 +15,12 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import joint_frames
 from mobilecal_cli.likelihood.constants import kind_of
-from mobilecal_cli.model import (
-    NINE,
-    AtWork,
-    Evidence,
-    Extraction,
-    FloatArray,
-    NoiseLevels,
-    Outlier,
-    Parameters,
-    Provenance,
-    Rejection,
-    Solution,
-    Uncertainty,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE, Parameters
+from mobilecal_cli.model.findings import AtWork, Evidence
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.signals import Rejection
+from mobilecal_cli.model.solution import NoiseLevels, Outlier, Provenance, Solution, Uncertainty
 from mobilecal_cli.model.text import wrapped
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import Case

@@ -14,7 +14,10 @@ from typing import Literal
 
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.predict import off_as_stated
-from mobilecal_cli.model import NINE, AtWork, Evaluation, HeadChain, Solution
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.findings import AtWork
+from mobilecal_cli.model.rig import HeadChain
+from mobilecal_cli.model.solution import Evaluation, Solution
 from mobilecal_cli.model.text import capitalized, wrapped
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report.checks import EVALUATED

@@ -9,19 +9,10 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.model import (
-    IMAGES,
-    SIDES,
-    Camera,
-    CameraInfo,
-    CameraRig,
-    FloatArray,
-    RobotDescription,
-    Side,
-    TopicInfo,
-    camera_words,
-    listed,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import SIDES, Camera, CameraInfo, CameraRig, Side, camera_words
+from mobilecal_cli.model.signals import IMAGES, RobotDescription, TopicInfo
+from mobilecal_cli.model.text import listed
 from mobilecal_cli.ranges import Range
 from mobilecal_cli.rig.config import CAMERA_NAME, RigConfig
 from mobilecal_cli.rig.names import (

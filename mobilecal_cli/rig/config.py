@@ -26,10 +26,10 @@ from pydantic import (
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, mapping_of, problem_of, read_text
-from mobilecal_cli.model import (
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import (
     Board,
     FixedLink,
-    FloatArray,
     JointLink,
     Markers,
     Nominal,

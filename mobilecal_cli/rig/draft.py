@@ -13,16 +13,8 @@ import numpy as np
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.likelihood.constants import KINDS
-from mobilecal_cli.model import (
-    IMAGES,
-    ODOMETRY,
-    SIDES,
-    BoardView,
-    JointLink,
-    Nominal,
-    NumberField,
-    WheelSource,
-)
+from mobilecal_cli.model.rig import SIDES, JointLink, Nominal, WheelSource
+from mobilecal_cli.model.signals import IMAGES, ODOMETRY, BoardView, NumberField
 from mobilecal_cli.model.text import listed, visible
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.rig.cameras import named_cameras

@@ -11,23 +11,20 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, chain_links, parse_urdf, vehicle_frame
-from mobilecal_cli.model import (
-    CHAIN_ENDS,
-    STRING,
-    TRANSFORMS,
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import (
     FixedLink,
-    FloatArray,
     HeadChain,
     JointField,
     JointLink,
     JointSource,
     JointTransform,
     Nominal,
-    RobotDescription,
     Side,
     WheelSource,
-    listed,
 )
+from mobilecal_cli.model.signals import CHAIN_ENDS, STRING, TRANSFORMS, RobotDescription
+from mobilecal_cli.model.text import listed
 from mobilecal_cli.ranges import POSITION
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.names import (

@@ -9,7 +9,9 @@ from itertools import product, takewhile
 from typing import TypeVar
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import SIDES, NumberField, RobotDescription, Side, listed
+from mobilecal_cli.model.rig import SIDES, Side
+from mobilecal_cli.model.signals import NumberField, RobotDescription
+from mobilecal_cli.model.text import listed
 
 T = TypeVar("T")
 HEAD_WORDS = {"head", "neck", "ptu", "camera", "cam", "gimbal", "mast"}

@@ -8,16 +8,8 @@ from functools import partial
 from typing import Literal, TypeVar, get_args
 
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.model import (
-    CameraInfo,
-    CameraRig,
-    JointSource,
-    Nominal,
-    Rig,
-    RobotDescription,
-    Sources,
-    camera_words,
-)
+from mobilecal_cli.model.rig import CameraInfo, CameraRig, JointSource, Nominal, Rig, Sources, camera_words
+from mobilecal_cli.model.signals import RobotDescription
 from mobilecal_cli.rig.cameras import are_rectified, camera_rig, image_topics, info_topic
 from mobilecal_cli.rig.config import RigConfig, read_urdf
 from mobilecal_cli.rig.head import Head, fixed_pose, head_of, joint_sources

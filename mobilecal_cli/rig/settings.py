@@ -13,21 +13,20 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.constants import KINDS, OF_RECORDINGS, Constant, Kind, table
-from mobilecal_cli.model import (
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.observations import Extraction, WheelTrack
+from mobilecal_cli.model.rig import (
     SIDES,
     Board,
     CameraRig,
-    Extraction,
     FixedLink,
-    FloatArray,
     HeadChain,
     JointLink,
     Rig,
     Side,
-    Track,
     WheelSource,
-    WheelTrack,
 )
+from mobilecal_cli.model.signals import Track
 from mobilecal_cli.rig.config import PriorEntry, RigConfig, WheelConfig, WheelsNominal, is_in
 
 

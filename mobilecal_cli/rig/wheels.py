@@ -12,17 +12,10 @@ from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf
 from mobilecal_cli.likelihood.constants import WHEEL_SIGMA
-from mobilecal_cli.model import (
-    ODOMETRY,
-    SIDES,
-    FloatArray,
-    NumberField,
-    RobotDescription,
-    Side,
-    WheelGeometry,
-    WheelSource,
-    listed,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import SIDES, Side, WheelGeometry, WheelSource
+from mobilecal_cli.model.signals import ODOMETRY, NumberField, RobotDescription
+from mobilecal_cli.model.text import listed
 from mobilecal_cli.rig.config import RigConfig, WheelConfig
 from mobilecal_cli.rig.names import (
     CASTER_WORDS,

@@ -31,7 +31,8 @@ from mobilecal_cli.export.outputs import (
     write_all,
     write_synced,
 )
-from mobilecal_cli.model import CameraInfo, FloatArray, IntArray, WheelGeometry
+from mobilecal_cli.model.arrays import FloatArray, IntArray
+from mobilecal_cli.model.rig import CameraInfo, WheelGeometry
 from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, TICK_BITS, TICKS_PER_REVOLUTION, urdf_text
 from mobilecal_cli.simulate.scenario import PIXEL_NOISE_GREY, Scenario, World
 from mobilecal_cli.targets import Container

@@ -7,7 +7,8 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import Board, Camera, FloatArray, GrayImage, Markers
+from mobilecal_cli.model.arrays import FloatArray, GrayImage
+from mobilecal_cli.model.rig import Board, Camera, Markers
 from mobilecal_cli.simulate.robot import pixels, rays
 
 _CELL_PX = 100  # pixels of the print per square (or tag)

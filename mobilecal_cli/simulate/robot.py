@@ -15,7 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.export.text import rendered
-from mobilecal_cli.model import SIDES, Camera, CameraInfo, CameraRig, FloatArray, Side, WheelGeometry
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import SIDES, Camera, CameraInfo, CameraRig, Side, WheelGeometry
 
 WIDTH, HEIGHT = 640, 480  # of the images, px
 _WHEELBASE_M = 0.262  # between front and rear wheels of four

@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import Board, FloatArray, WheelGeometry
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import Board, WheelGeometry
 from mobilecal_cli.simulate.robot import OPTICAL, SimulatedRobot, pixels, pose
 from mobilecal_cli.targets import Motion
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.export.text import rendered
-from mobilecal_cli.model import SIDES, Board, CameraRig, FloatArray, Markers
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import SIDES, Board, CameraRig, Markers
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import (
     JOINT_NOISE_RAD,

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.constants import CONSTANTS, KIND_GROUPS, KINDS, kind_of
-from mobilecal_cli.model import NINE, Nominal
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.rig import Nominal
 
 _GROUPS = {"head_eye": NINE[:6], "rotation": NINE[:3], "translation": NINE[3:6], "wheels": NINE[6:]}
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"

@@ -9,16 +9,11 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.measurements import MotionPairs, heading_of
 from mobilecal_cli.likelihood.processes import path_m
-from mobilecal_cli.model import (
-    MOST_ERROR_PX,
-    Drift,
-    Evaluation,
-    Extraction,
-    FloatArray,
-    Parameters,
-    Solution,
-    WheelGeometry,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import WheelGeometry
+from mobilecal_cli.model.solution import MOST_ERROR_PX, Drift, Evaluation, Solution
 from mobilecal_cli.solvers.residuals import at_constants, residuals_of
 from mobilecal_cli.solvers.transfer import camera_motion, dead_reckoned
 

@@ -16,22 +16,20 @@ from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.legs import wheels_minus_sensor
 from mobilecal_cli.likelihood.measurements import BASE
 from mobilecal_cli.likelihood.residual_tests import SMALL_M, SMALL_RAD
-from mobilecal_cli.model import (
+from mobilecal_cli.model.arrays import IntArray
+from mobilecal_cli.model.findings import (
     CONTRADICTION_SIGMAS,
     MATERIAL_SIGMAS,
-    SIDES,
     Diagnosis,
     EstimatedConstant,
     Evidence,
-    Extraction,
-    IntArray,
     Jump,
-    Outlier,
     ScaleCheck,
-    Track,
-    camera_words,
 )
-from mobilecal_cli.model.signals import pauses
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import SIDES, camera_words
+from mobilecal_cli.model.signals import Track, pauses
+from mobilecal_cli.model.solution import Outlier
 from mobilecal_cli.model.text import capitalized
 from mobilecal_cli.solvers.fit import LikelihoodFit
 from mobilecal_cli.solvers.outliers import longest_stretch, moved_before

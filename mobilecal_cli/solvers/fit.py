@@ -18,15 +18,9 @@ from mobilecal_cli.likelihood.effects import CameraEffect
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.predict import STEP, camera_covariance, expected, in_base, weights_of
 from mobilecal_cli.likelihood.residual_tests import ResidualTests
-from mobilecal_cli.model import (
-    BetweenLogs,
-    BoolArray,
-    Budget,
-    FloatArray,
-    Noise,
-    NoiseLevels,
-    Uncertainty,
-)
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
+from mobilecal_cli.model.findings import BetweenLogs, Budget
+from mobilecal_cli.model.solution import Noise, NoiseLevels, Uncertainty
 from mobilecal_cli.solvers.noise import Component, guess_worth
 
 _GUESS_FREEDOM = 4.0  # a guessed level's variance is uncertain like that of so many residuals and two

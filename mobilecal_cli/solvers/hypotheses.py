@@ -19,16 +19,10 @@ from scipy.spatial.transform import Rotation
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.measurements import heading_of, planar_pose
-from mobilecal_cli.model import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    Rig,
-    Track,
-    WheelGeometry,
-    WheelTrack,
-    sampled,
-)
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model.observations import WheelTrack
+from mobilecal_cli.model.rig import Rig, WheelGeometry
+from mobilecal_cli.model.signals import Track, sampled
 from mobilecal_cli.solvers.readings import FEWEST_STATIONS, Readings
 from mobilecal_cli.solvers.transfer import dead_reckoned
 

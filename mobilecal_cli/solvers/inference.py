@@ -19,16 +19,11 @@ from mobilecal_cli.likelihood.posterior import Posterior, directions
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.model import (
-    MATERIAL_SIGMAS,
-    NINE,
-    WHEEL_WORDS,
-    Extraction,
-    FloatArray,
-    IntArray,
-    Noise,
-    Parameters,
-)
+from mobilecal_cli.model.arrays import FloatArray, IntArray
+from mobilecal_cli.model.calibration import NINE, WHEEL_WORDS, Parameters
+from mobilecal_cli.model.findings import MATERIAL_SIGMAS
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.solution import Noise
 from mobilecal_cli.solvers import outliers
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.fit import LikelihoodFit

@@ -21,7 +21,10 @@ from mobilecal_cli.kinematics import MotionSeen
 from mobilecal_cli.likelihood.dataset import Dataset, Inliers
 from mobilecal_cli.likelihood.measurements import MotionPairs, heading_of, planar_pose
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.model import FloatArray, LinearEstimate, Parameters, WheelGeometry
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.rig import WheelGeometry
+from mobilecal_cli.model.solution import LinearEstimate
 from mobilecal_cli.solvers.linear import NO_SIZE_M, NominalPrior, Rounds, ratios_of
 from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, reckoned_base
 

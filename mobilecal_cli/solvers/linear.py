@@ -15,7 +15,9 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.likelihood.constants import NINE_SIGMAS, WHEEL_SIGMA
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.model import FloatArray, IntArray, Parameters, Rig, WheelGeometry
+from mobilecal_cli.model.arrays import FloatArray, IntArray
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.rig import Rig, WheelGeometry
 from mobilecal_cli.solvers.transfer import base_motion
 
 _PAIRS_PER_STATION = 40  # at most about twice as many: the pairs grow with the recording, not with its square

@@ -13,7 +13,8 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.constants import PATTERNS, kind_of
 from mobilecal_cli.likelihood.dataset import DEGREES, Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.model import IntArray, Parameters
+from mobilecal_cli.model.arrays import IntArray
+from mobilecal_cli.model.calibration import Parameters
 from mobilecal_cli.solvers import outliers
 from mobilecal_cli.solvers.fit import LikelihoodFit
 from mobilecal_cli.solvers.inference import Inference

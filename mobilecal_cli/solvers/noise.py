@@ -16,7 +16,9 @@ from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.measurements import ERRORS
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import LENGTHS
-from mobilecal_cli.model import EXACT, NINE, BoolArray, FloatArray, Noise
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.solution import EXACT, Noise
 
 _LEAST, _MOST = Noise.limits("least"), Noise.limits("most")
 #: A guessed correlation length is right within this factor (one sigma of its logarithm).

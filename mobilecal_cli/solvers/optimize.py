@@ -12,7 +12,7 @@ from mobilecal_cli.likelihood.linearization import solvable
 from mobilecal_cli.likelihood.normal import eliminated
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model.arrays import FloatArray
 
 MOST_STEPS = 250  # tried, of one optimization
 #: Of the first step after one without damping that does not help; less than the least is none.

@@ -19,7 +19,7 @@ from mobilecal_cli.likelihood.corners import (
 from mobilecal_cli.likelihood.dataset import DEGREES, Dataset, Inliers
 from mobilecal_cli.likelihood.residual_tests import limit
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.model import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
 from mobilecal_cli.solvers.fit import LikelihoodFit
 from mobilecal_cli.solvers.noise import guess_worth
 

@@ -15,7 +15,10 @@ from mobilecal_cli.likelihood.measurements import (
     planar_pose,
     steps_between,
 )
-from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Rig, Track, WheelTrack
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model.observations import Extraction, WheelTrack
+from mobilecal_cli.model.rig import Rig
+from mobilecal_cli.model.signals import Track
 from mobilecal_cli.solvers.linear import NominalPrior, nominal_of
 
 FEWEST_STATIONS = 5  # of a recording, or of a part of one: with fewer legs, many mistakes fit

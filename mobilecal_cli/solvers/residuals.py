@@ -22,17 +22,11 @@ from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.measurements import STAMP, in_each_camera
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.model import (
-    BoolArray,
-    CameraRig,
-    ErrorPart,
-    Extraction,
-    FloatArray,
-    Noise,
-    Parameters,
-    Residuals,
-    WheelGeometry,
-)
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import CameraRig, WheelGeometry
+from mobilecal_cli.model.solution import ErrorPart, Noise, Residuals
 from mobilecal_cli.solvers.transfer import camera_motion, dead_reckoned
 
 _TRIANGULATION_STEPS = 8  # quadratic convergence: a displacement of ten pixels leaves 1e-6 px after three

@@ -21,7 +21,7 @@ from mobilecal_cli.likelihood.linearization import FREE_JOINT, solvable
 from mobilecal_cli.likelihood.measurements import JOINTS
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.model import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
 from mobilecal_cli.solvers.optimize import proposed
 
 _CHANCE = 1e-4  # that a good measurement is beyond its limit

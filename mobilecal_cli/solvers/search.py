@@ -19,16 +19,11 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS
 from mobilecal_cli.likelihood.constants import kind_of
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.model import (
-    Camera,
-    Diagnosis,
-    Extraction,
-    FloatArray,
-    IntArray,
-    Parameters,
-    Rig,
-    WheelGeometry,
-)
+from mobilecal_cli.model.arrays import FloatArray, IntArray
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.findings import Diagnosis
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import Camera, Rig, WheelGeometry
 from mobilecal_cli.solvers.hypotheses import (
     ANY_WHEELS,
     FREE_PARTS,

@@ -19,24 +19,24 @@ from mobilecal_cli.likelihood.evidence import equivalent_sigmas, evidence
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import path_m
 from mobilecal_cli.likelihood.suggest import suggestions
-from mobilecal_cli.model import (
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
+from mobilecal_cli.model.calibration import NINE, Parameters
+from mobilecal_cli.model.findings import (
     CONTRADICTION_SIGMAS,
     MATERIAL_SIGMAS,
-    NINE,
     STAMP_NOISE_S,
     WHEEL_NOISE,
-    BoolArray,
     Diagnosis,
+)
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import WheelGeometry
+from mobilecal_cli.model.solution import (
     ErrorPart,
-    Extraction,
-    FloatArray,
     LinearEstimate,
     Method,
-    Parameters,
     Refinement,
     Residuals,
     Solution,
-    WheelGeometry,
     largest_mean_square,
 )
 from mobilecal_cli.ranges import of_parameter

@@ -14,7 +14,10 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import Arcs, integrate
 from mobilecal_cli.likelihood.measurements import MotionPairs, planar_pose
-from mobilecal_cli.model import FloatArray, Parameters, Refinement, WheelGeometry
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.rig import WheelGeometry
+from mobilecal_cli.model.solution import Refinement
 
 _MOST_STEPS = 100
 _LEAST_GAIN, _LEAST_STEP = 1e-12, 1e-11  # relative, of the cost and of the parameters

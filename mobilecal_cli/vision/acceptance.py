@@ -12,7 +12,8 @@ from math import erf, sqrt
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import BoolArray, FloatArray, GrayImage, IntArray, Reason
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
+from mobilecal_cli.model.signals import Reason
 from mobilecal_cli.vision.corner_model import FittedCorners, fit_corners, upper_median
 from mobilecal_cli.vision.grid import smallest_edge_px
 from mobilecal_cli.vision.grid_map import GridMap, fit_grid

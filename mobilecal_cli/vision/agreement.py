@@ -12,7 +12,10 @@ from itertools import pairwise, product
 import numpy as np
 
 from mobilecal_cli.errors import ObservationError
-from mobilecal_cli.model import Board, Camera, CameraRig, Corners, FloatArray, Reason, Rejection
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.observations import Corners
+from mobilecal_cli.model.rig import Board, Camera, CameraRig
+from mobilecal_cli.model.signals import Reason, Rejection
 from mobilecal_cli.vision.observing import Measured, best_fit
 from mobilecal_cli.vision.pose import StereoPoints
 from mobilecal_cli.vision.values import Detection

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from mobilecal_cli.model import BoolArray, FloatArray, GrayImage, IntArray
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
 from mobilecal_cli.vision.values import Appearance, Single
 
 # Half windows of `refine` in units of the shortest edge. Printed boards often have narrow outer squares, and a window

@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import Board, FloatArray, GrayImage, Reason
+from mobilecal_cli.model.arrays import FloatArray, GrayImage
+from mobilecal_cli.model.rig import Board
+from mobilecal_cli.model.signals import Reason
 from mobilecal_cli.vision.acceptance import (
     accepted,
     check_colors,

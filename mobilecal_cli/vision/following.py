@@ -7,7 +7,9 @@ from collections import deque
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import Board, FloatArray, GrayImage, Reason
+from mobilecal_cli.model.arrays import FloatArray, GrayImage
+from mobilecal_cli.model.rig import Board
+from mobilecal_cli.model.signals import Reason
 from mobilecal_cli.vision.acceptance import MIN_EDGE_PX, accepted, check_size, colors, fit_board
 from mobilecal_cli.vision.corner_model import FittedCorners, refine
 from mobilecal_cli.vision.detection import find_board, least_response, may_show_board

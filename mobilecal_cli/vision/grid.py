@@ -19,16 +19,10 @@ from itertools import product
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import (
-    Board,
-    Corners,
-    FloatArray,
-    GrayImage,
-    IntArray,
-    Observation,
-    Reason,
-    Rejection,
-)
+from mobilecal_cli.model.arrays import FloatArray, GrayImage, IntArray
+from mobilecal_cli.model.observations import Corners, Observation
+from mobilecal_cli.model.rig import Board
+from mobilecal_cli.model.signals import Reason, Rejection
 from mobilecal_cli.vision.pose import absolute_orientation, rotation_between
 
 _ROUNDS = 100  # a few more than the least are usual

@@ -12,7 +12,8 @@ from functools import lru_cache
 import numpy as np
 
 from mobilecal_cli.camera import project, undistorted
-from mobilecal_cli.model import BoolArray, Camera, FloatArray
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
+from mobilecal_cli.model.rig import Camera
 
 # A grid less smooth than this under a perspective camera may have been seen by a fisheye lens, px. The lens must
 # leave less than this share of the noise.

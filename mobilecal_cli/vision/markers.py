@@ -5,7 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import Board, FloatArray, GrayImage, IntArray, Markers, Reason
+from mobilecal_cli.model.arrays import FloatArray, GrayImage, IntArray
+from mobilecal_cli.model.rig import Board, Markers
+from mobilecal_cli.model.signals import Reason
 from mobilecal_cli.vision.acceptance import MIN_EDGE_PX
 from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.grid_map import scatter_px

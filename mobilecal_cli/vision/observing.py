@@ -13,20 +13,10 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
-from mobilecal_cli.model import (
-    Board,
-    BoolArray,
-    Camera,
-    CameraRig,
-    Corners,
-    FloatArray,
-    Observation,
-    Reason,
-    Rejection,
-    Station,
-    camera_words,
-    shots_words,
-)
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
+from mobilecal_cli.model.observations import Corners, Observation
+from mobilecal_cli.model.rig import Board, Camera, CameraRig, camera_words, shots_words
+from mobilecal_cli.model.signals import Reason, Rejection, Station
 from mobilecal_cli.vision.grid import turned, turned_view, turns
 from mobilecal_cli.vision.grid_map import roughness_px, scatter_px
 from mobilecal_cli.vision.pose import (

@@ -9,7 +9,10 @@ import cv2
 import numpy as np
 
 from mobilecal_cli import camera, se3
-from mobilecal_cli.model import BoolArray, CameraRig, Corners, FloatArray, Reason
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
+from mobilecal_cli.model.observations import Corners
+from mobilecal_cli.model.rig import CameraRig
+from mobilecal_cli.model.signals import Reason
 from mobilecal_cli.vision.values import Miss, rms
 
 _TRIANGULATION_STEPS = 12

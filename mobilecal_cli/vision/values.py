@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from mobilecal_cli.model import BoolArray, FloatArray, Reason
-from mobilecal_cli.model.arrays import ReadOnly, set_corner_defaults
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, ReadOnly, set_corner_defaults
+from mobilecal_cli.model.signals import Reason
 
 #: For arrays where single precision is enough.
 Single = NDArray[np.float32]

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board
+from mobilecal_cli.model.rig import Board
 from mobilecal_cli.vision import BoardFollower, Detection, detect
 from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
 from mobilecal_cli.vision.values import Appearance

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mobilecal_cli.model import Noise
+from mobilecal_cli.model.solution import Noise
 from tests.bench.imperfect import (
     AS_PRINTED,
     CORRELATED,

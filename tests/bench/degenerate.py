@@ -11,7 +11,8 @@ import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.constants import NINE_SIGMAS, WHEEL_SIGMA
-from mobilecal_cli.model import NINE, Nominal, Parameters, WheelGeometry
+from mobilecal_cli.model.calibration import NINE, Parameters
+from mobilecal_cli.model.rig import Nominal, WheelGeometry
 from mobilecal_cli.simulate.robot import PAPER_ROBOT, SimulatedRobot
 from mobilecal_cli.solvers import constraints_of, solve
 from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, route_of

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model.arrays import FloatArray
 from tests.bench.imperfect import (
     AS_PRINTED,
     ROBOTS,

@@ -7,7 +7,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.model import Corners, Extraction
+from mobilecal_cli.model.observations import Corners, Extraction
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import PAPER_ROBOT, pixels
 from mobilecal_cli.simulate.route import base_in_world

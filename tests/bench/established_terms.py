@@ -19,7 +19,8 @@ from mobilecal_cli.kinematics import head_jacobian, head_pose, integrate
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import all_covariances
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.model import FloatArray, WheelGeometry
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import WheelGeometry
 from tests.bench.simulated import TRUE_NOISE
 
 _Z = np.array([0.0, 0.0, 1.0])

@@ -13,7 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.errors import ConfigError, MobilecalError
-from mobilecal_cli.model import Board, Extraction, WheelGeometry
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import Board, WheelGeometry
 from mobilecal_cli.simulate.robot import SimulatedRobot
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
 from mobilecal_cli.solvers import solve

@@ -15,19 +15,13 @@ from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.model import (
-    NINE,
-    AssumedOdometry,
-    CalibratedRobot,
-    Extraction,
-    FloatArray,
-    Jump,
-    Noise,
-    Solution,
-    Track,
-    WheelGeometry,
-    WheelTrack,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE, CalibratedRobot
+from mobilecal_cli.model.findings import Jump
+from mobilecal_cli.model.observations import Extraction, WheelTrack
+from mobilecal_cli.model.rig import AssumedOdometry, WheelGeometry
+from mobilecal_cli.model.signals import Track
+from mobilecal_cli.model.solution import Noise, Solution
 from mobilecal_cli.readers.signals.sides import sides_of
 from mobilecal_cli.readers.signals.wheels import Odometry
 from mobilecal_cli.simulate.record import driver_odometry

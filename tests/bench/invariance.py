@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.model import Extraction, Parameters, Track, WheelGeometry, WheelTrack
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.observations import Extraction, WheelTrack
+from mobilecal_cli.model.rig import WheelGeometry
+from mobilecal_cli.model.signals import Track
 from mobilecal_cli.solvers import solve
 from tests.bench.imperfect import CORRELATED, Case
 from tests.bench.study import Study, head, line, measured

@@ -10,7 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.model import Extraction, FloatArray, Solution, Track, WheelTrack
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.observations import Extraction, WheelTrack
+from mobilecal_cli.model.signals import Track
+from mobilecal_cli.model.solution import Solution
 from mobilecal_cli.simulate.robot import TICK_ROBOT, SimulatedRobot
 from mobilecal_cli.simulate.route import Route
 from mobilecal_cli.solvers import solve

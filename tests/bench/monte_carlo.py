@@ -6,7 +6,7 @@ import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import Inliers
-from mobilecal_cli.model import Method
+from mobilecal_cli.model.solution import Method
 from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.solvers import solve
 from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, bound_of, route_of

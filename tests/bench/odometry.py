@@ -9,7 +9,9 @@ from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.export.formats.odometry_covariance import OdometryCovariance, odometry_covariance
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
 from mobilecal_cli.kinematics import Increments, integrate
-from mobilecal_cli.model import CalibratedRobot, FloatArray, Provenance
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import CalibratedRobot
+from mobilecal_cli.model.solution import Provenance
 from mobilecal_cli.simulate.route import Drive, Stretch
 from mobilecal_cli.solvers import solve
 from tests import extractions

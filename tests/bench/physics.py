@@ -13,7 +13,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from mobilecal_cli.model import Corners, Extraction, Observation, Track, WheelTrack
+from mobilecal_cli.model.observations import Corners, Extraction, Observation, WheelTrack
+from mobilecal_cli.model.signals import Track
 from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.simulate.route import plan_route, wheel_speeds
 from mobilecal_cli.vision.pose import board_pose, square_from_points, triangulate

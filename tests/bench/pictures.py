@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import erf
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board, Camera
+from mobilecal_cli.model.rig import Board, Camera
 from tests.vision.scenes import opencv_pixels, painted, stereo_rig
 
 BOARD = Board(9, 6, 0.05)

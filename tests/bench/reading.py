@@ -46,7 +46,7 @@ def decode_alone(path: str, workers: str) -> float:
 def read_and_see(path: str, jobs: str) -> dict[str, float]:
     """Seconds to read the recording and search each image; ms per station to measure; number of boards found."""
     from mobilecal_cli.calibrate.detect import detect_all, plan_recording
-    from mobilecal_cli.model import Board
+    from mobilecal_cli.model.rig import Board
     from mobilecal_cli.readers import open_recording, read_description
     from mobilecal_cli.rig.config import load_rig
     from mobilecal_cli.rig.resolve import complete_rig, survey_rig

@@ -14,22 +14,12 @@ import numpy as np
 from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.constants import camera_change, table
-from mobilecal_cli.model import (
-    EXACT,
-    NINE,
-    Board,
-    Camera,
-    CameraRig,
-    Corners,
-    Extraction,
-    FloatArray,
-    Observation,
-    Parameters,
-    Rejection,
-    Side,
-    Station,
-    WheelTrack,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE, Parameters
+from mobilecal_cli.model.observations import Corners, Extraction, Observation, WheelTrack
+from mobilecal_cli.model.rig import Board, Camera, CameraRig, Side
+from mobilecal_cli.model.signals import Rejection, Station
+from mobilecal_cli.model.solution import EXACT
 from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers import Constraints
 from mobilecal_cli.solvers.findings import contradictions_of

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model.arrays import FloatArray
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.scenario import BLUR_PX, Scenario, World

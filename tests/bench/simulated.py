@@ -8,13 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.model import (
-    EXACT,
-    Corners,
-    Extraction,
-    FloatArray,
-    Noise,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.observations import Corners, Extraction
+from mobilecal_cli.model.solution import EXACT, Noise
 from mobilecal_cli.simulate.robot import PAPER_ROBOT, SimulatedRobot
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
 from mobilecal_cli.solvers.initial import start_state

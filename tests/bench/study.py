@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli import __version__
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model.arrays import FloatArray
 
 DEGREES_MM = np.concatenate([np.full(3, 180 / np.pi), np.full(6, 1e3)])
 NINE_COLUMNS = ("r_x", "r_y", "r_z (deg)", "t_x", "t_y", "t_z", "rR", "rL", "b (mm)")

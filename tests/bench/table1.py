@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from mobilecal_cli.calibrate.extract import extract
-from mobilecal_cli.model import Parameters
+from mobilecal_cli.model.calibration import Parameters
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import PAPER_ROBOT, SimulatedRobot
 from mobilecal_cli.solvers import solve

@@ -9,7 +9,8 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.measured import from_motions
-from mobilecal_cli.model import FloatArray, SensorMotion
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.observations import SensorMotion
 from mobilecal_cli.solvers import solve
 from tests.bench.study import Study, head, line
 

@@ -14,7 +14,9 @@ from mobilecal_cli.calibrate.extract import describe, extract
 from mobilecal_cli.calibrate.inspect import inspect
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.export.extraction import THUMBNAILS
-from mobilecal_cli.model import Board, PictureIndex, Shot, Station, Track, WheelTrack
+from mobilecal_cli.model.observations import WheelTrack
+from mobilecal_cli.model.rig import Board
+from mobilecal_cli.model.signals import PictureIndex, Shot, Station, Track
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.rig.config import UNCONFIGURED, load_rig
 from mobilecal_cli.rig.resolve import complete_rig

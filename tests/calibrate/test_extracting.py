@@ -12,7 +12,8 @@ from mobilecal_cli.calibrate.extract import _other_cameras, describe, extract, o
 from mobilecal_cli.calibrate.inspect import inspect
 from mobilecal_cli.commands.init import draft
 from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError
-from mobilecal_cli.model import CAMERA_INFO_CHANGES, CHAIN_LACKS, UNUSED, Board
+from mobilecal_cli.model.rig import Board
+from mobilecal_cli.model.signals import CAMERA_INFO_CHANGES, CHAIN_LACKS, UNUSED
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.rig.config import UNCONFIGURED, load_rig
 from mobilecal_cli.rig.resolve import complete_rig

@@ -6,7 +6,10 @@ import pytest
 from mobilecal_cli.calibrate.gaps import require_observable, require_stations
 from mobilecal_cli.calibrate.steps import fitted, held_out
 from mobilecal_cli.errors import ObservationError, SolveError
-from mobilecal_cli.model import CLOCKS_DIFFER, NINE, Nominal, Reason, Rejection, WheelTrack
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.observations import WheelTrack
+from mobilecal_cli.model.rig import Nominal
+from mobilecal_cli.model.signals import CLOCKS_DIFFER, Reason, Rejection
 from mobilecal_cli.report.motion import motion_gaps
 from tests.extractions import Noise, joined, simulated
 from tests.judging import judge

@@ -12,7 +12,8 @@ from mobilecal_cli.calibrate.load import load
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.likelihood.constants import OF_RECORDINGS, table
-from mobilecal_cli.model import LogSource, WheelGeometry, WheelSource
+from mobilecal_cli.model.observations import LogSource
+from mobilecal_cli.model.rig import WheelGeometry, WheelSource
 from mobilecal_cli.rig.config import UNCONFIGURED, load_rig
 from mobilecal_cli.rig.settings import refuse_others, with_settings
 from mobilecal_cli.solvers import Constraints

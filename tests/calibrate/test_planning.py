@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.calibrate.detect import plan_recording
-from mobilecal_cli.model import Sources, WheelSource
+from mobilecal_cli.model.rig import Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_images
 
 from ..readers import recordings as r

@@ -8,7 +8,8 @@ import pytest
 
 from mobilecal_cli.calibrate.extract import extract, refuse_equal_files, refuse_equal_recordings
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import Extraction, LogSource, Track, WheelTrack
+from mobilecal_cli.model.observations import Extraction, LogSource, WheelTrack
+from mobilecal_cli.model.signals import Track
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.simulate.route import plan_route

@@ -19,7 +19,8 @@ from pytransform3d.transformations import concat, transform_from
 import mobilecal_cli as mc
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
-from mobilecal_cli.model import Parameters, Rejection
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.signals import Rejection
 from mobilecal_cli.solvers.residuals import at_constants
 from mobilecal_cli.vision import Detection, find_board
 from tests.command import run, succeeded

@@ -26,7 +26,7 @@ from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.outputs import OUTPUT_NAMES, check_output, recognized_output, write_outputs
 from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.files import interruption
-from mobilecal_cli.model import LogSource
+from mobilecal_cli.model.observations import LogSource
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_text, standing_out
 from mobilecal_cli.rig.config import RigConfig, read_urdf
 from mobilecal_cli.simulate.robot import ROBOTS

@@ -15,7 +15,8 @@ from ruamel.yaml import YAML
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate.load import load as load_log
 from mobilecal_cli.export.extraction import extraction_from_npz
-from mobilecal_cli.model import NINE, NoiseLevels
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.solution import NoiseLevels
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.solvers import solve
 from tests.command import run, succeeded

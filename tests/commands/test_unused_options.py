@@ -7,7 +7,7 @@ import pytest
 from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.extraction import extraction_to_npz
-from mobilecal_cli.model import Nominal
+from mobilecal_cli.model.rig import Nominal
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.solvers.inference import dataset_for
 from mobilecal_cli.targets import Target

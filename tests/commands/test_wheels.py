@@ -16,7 +16,8 @@ from mobilecal_cli.calibrate.steps import calibrate
 from mobilecal_cli.comparison import difference
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.params import parameters_from_yaml
-from mobilecal_cli.model import FACTORS, AssumedOdometry, CalibratedRobot, WheelGeometry
+from mobilecal_cli.model.calibration import CalibratedRobot
+from mobilecal_cli.model.rig import FACTORS, AssumedOdometry, WheelGeometry
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import urdf_text
 from tests.command import run

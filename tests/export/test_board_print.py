@@ -12,7 +12,7 @@ from mobilecal_cli.commands.board import board
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.board_print import board_pdf
 from mobilecal_cli.files.reading import load_yaml
-from mobilecal_cli.model import Board, Markers
+from mobilecal_cli.model.rig import Board, Markers
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.vision import Detection, find_board
 

@@ -22,7 +22,9 @@ from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.likelihood.constants import WHEEL_SIGMA
-from mobilecal_cli.model import AssumedOdometry, CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
+from mobilecal_cli.model.calibration import CalibratedRobot, Knowledge
+from mobilecal_cli.model.observations import LogSource
+from mobilecal_cli.model.rig import AssumedOdometry, Nominal, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.targets import Target
 from tests.command import run

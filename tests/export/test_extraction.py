@@ -19,8 +19,9 @@ from mobilecal_cli.export.extraction import (
     extraction_to_npz,
     snapshots_from_npz,
 )
-from mobilecal_cli.model import Camera, Corners, Extraction, Snapshot
 from mobilecal_cli.model.arrays import element_of
+from mobilecal_cli.model.observations import Corners, Extraction, Snapshot
+from mobilecal_cli.model.rig import Camera
 from tests.report.example import make_extraction, make_hostile
 
 NUMBERS = [0.0, -0.0, 5e-324, 1 / 3, -1e11, 1e11]  # what is beyond is refused as damage

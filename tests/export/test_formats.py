@@ -25,7 +25,8 @@ from mobilecal_cli.export.formats.camchain import camchain_yaml
 from mobilecal_cli.export.formats.camera_info import camera_info_yaml, rectified_pair
 from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.kinematics.urdf import parse_urdf
-from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, WheelGeometry
+from mobilecal_cli.model.calibration import NINE, CalibratedRobot, Knowledge
+from mobilecal_cli.model.rig import WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS
 from tests.formats import HEAD_EYE, text_of
 from tests.pairs import with_pair

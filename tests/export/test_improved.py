@@ -21,7 +21,9 @@ from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf
 from mobilecal_cli.likelihood.constants import camera_change, joint_keys, table
-from mobilecal_cli.model import Camera, EstimatedConstant, HeadChain, LensCorrection, LogSource
+from mobilecal_cli.model.findings import EstimatedConstant
+from mobilecal_cli.model.observations import LogSource
+from mobilecal_cli.model.rig import Camera, HeadChain, LensCorrection
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.solvers import solve

@@ -14,8 +14,10 @@ from mobilecal_cli.export.formats.odometry_covariance import odometry_covariance
 from mobilecal_cli.export.text import rendered
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import AssumedOdometry, CalibratedRobot, Knowledge, LogSource, WheelGeometry
-from mobilecal_cli.model import Noise as LegNoise
+from mobilecal_cli.model.calibration import CalibratedRobot, Knowledge
+from mobilecal_cli.model.observations import LogSource
+from mobilecal_cli.model.rig import AssumedOdometry, WheelGeometry
+from mobilecal_cli.model.solution import Noise as LegNoise
 from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.targets import Target
 from tests.actual import rolled_as_read

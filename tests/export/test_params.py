@@ -14,7 +14,10 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.export.text import decimal, dump, quoted
-from mobilecal_cli.model import EstimatedConstant, JointLink, LogSource, Parameters
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.findings import EstimatedConstant
+from mobilecal_cli.model.observations import LogSource
+from mobilecal_cli.model.rig import JointLink
 from tests.formats import small_uncertainty
 from tests.report.example import HOSTILE, make_extraction, make_hostile, make_solution, params_of
 

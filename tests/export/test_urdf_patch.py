@@ -16,7 +16,8 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.kinematics.urdf import parse_urdf
-from mobilecal_cli.model import CalibratedRobot, WheelGeometry
+from mobilecal_cli.model.calibration import CalibratedRobot
+from mobilecal_cli.model.rig import WheelGeometry
 
 JOINTS = {"left": "wheel_left_joint", "right": "wheel_right_joint"}
 URDF = b"""<?xml version='1.0'?>

@@ -28,15 +28,10 @@ from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_n
 from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
 from mobilecal_cli.kinematics.urdf import parse_urdf
-from mobilecal_cli.model import (
-    CalibratedRobot,
-    Extraction,
-    LogSource,
-    Provenance,
-    Sources,
-    WheelGeometry,
-    WheelSource,
-)
+from mobilecal_cli.model.calibration import CalibratedRobot
+from mobilecal_cli.model.observations import Extraction, LogSource
+from mobilecal_cli.model.rig import Sources, WheelGeometry, WheelSource
+from mobilecal_cli.model.solution import Provenance
 from mobilecal_cli.readers import open_recording, pictures_near, read_description, read_images, read_signals
 from mobilecal_cli.report.comparison import Comparison, comparison_text
 from mobilecal_cli.report.inspection import inspection_json, inspection_text

@@ -15,17 +15,10 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate.gaps import require_stations
 from mobilecal_cli.errors import MobilecalError, RecordingError
-from mobilecal_cli.model import (
-    CameraRig,
-    Corners,
-    Extraction,
-    FixedLink,
-    FloatArray,
-    Observation,
-    Track,
-    WheelGeometry,
-    WheelTrack,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.observations import Corners, Extraction, Observation, WheelTrack
+from mobilecal_cli.model.rig import CameraRig, FixedLink, WheelGeometry
+from mobilecal_cli.model.signals import Track
 from mobilecal_cli.rig.cameras import BASELINE
 from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers import solve

@@ -17,7 +17,7 @@ from rosbags.rosbag2 import Writer
 
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.params import FIRST_LINE
-from mobilecal_cli.model import LogSource
+from mobilecal_cli.model.observations import LogSource
 from tests.commands.edited import STORE, edited
 from tests.conftest import REPOSITORY
 from tests.extractions import Noise, simulated

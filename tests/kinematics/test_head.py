@@ -7,7 +7,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.kinematics import head_jacobian, head_pose
 from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf, vehicle_frame
-from mobilecal_cli.model import FixedLink, HeadChain, JointLink
+from mobilecal_cli.model.rig import FixedLink, HeadChain, JointLink
 
 PAN_TILT = HeadChain(
     "base_link",

@@ -17,7 +17,9 @@ from mobilecal_cli.kinematics import (
     integrate,
     join,
 )
-from mobilecal_cli.model import Track, WheelGeometry, WheelTrack
+from mobilecal_cli.model.observations import WheelTrack
+from mobilecal_cli.model.rig import WheelGeometry
+from mobilecal_cli.model.signals import Track
 
 WHEELS = WheelGeometry(radius_right_m=0.2, radius_left_m=0.25, separation_m=0.5)
 

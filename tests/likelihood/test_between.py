@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.likelihood.between import between_variance, few_logs_factor
-from mobilecal_cli.model import Parameters, WheelGeometry
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.rig import WheelGeometry
 from tests.truth import predicted
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood import jumps
-from mobilecal_cli.model import Evidence, EvidenceValue
+from mobilecal_cli.model.findings import Evidence, EvidenceValue
 from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import findings, solve

@@ -12,7 +12,8 @@ from mobilecal_cli.likelihood.legs import leg_covariances, linearize_legs
 from mobilecal_cli.likelihood.processes import processes_of
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.measured import from_motions
-from mobilecal_cli.model import Noise, Parameters
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.solution import Noise
 from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers.initial import start_state
 from tests.actual import draw

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mobilecal_cli.likelihood.dataset import between_readings, dataset_of
-from mobilecal_cli.model import Track, sampled
+from mobilecal_cli.model.signals import Track, sampled
 from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.simulate.route import plan_route
 from tests.bench import imperfect

@@ -16,7 +16,8 @@ from mobilecal_cli.likelihood.normal import _none_negative, eliminated
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.likelihood.views import roots, summed
-from mobilecal_cli.model import Board, Noise
+from mobilecal_cli.model.rig import Board
+from mobilecal_cli.model.solution import Noise
 from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.initial import start_state

@@ -10,7 +10,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.calibrate.steps import fitted
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood import suggest
-from mobilecal_cli.model import NINE
+from mobilecal_cli.model.calibration import NINE
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.simulate.robot import PAPER_ROBOT, pixels
 from mobilecal_cli.solvers import Constraints, solve

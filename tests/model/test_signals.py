@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import Track
+from mobilecal_cli.model.signals import Track
 
 #: Ten readings per second, and times between them.
 READ_NS = np.arange(0, 10_000_000_001, 100_000_000)

@@ -22,7 +22,8 @@ from rosbags.typesys.store import Typestore
 
 from mobilecal_cli import readers
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import PictureIndex, Sources, WheelSource
+from mobilecal_cli.model.rig import Sources, WheelSource
+from mobilecal_cli.model.signals import PictureIndex
 from mobilecal_cli.readers import read_signals
 from mobilecal_cli.readers.messages import codec_of, stamp_of
 from tests.records import Record, written

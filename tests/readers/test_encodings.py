@@ -12,7 +12,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import JointField, Sources, WheelSource
+from mobilecal_cli.model.rig import JointField, Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_description
 from mobilecal_cli.readers.messages import stamp_of
 from mobilecal_cli.rig.config import RigConfig

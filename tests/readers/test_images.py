@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import Rejection
+from mobilecal_cli.model.signals import Rejection
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.pictures import decode_image
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import CAMERA_INFO_CHANGES
+from mobilecal_cli.model.signals import CAMERA_INFO_CHANGES
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 

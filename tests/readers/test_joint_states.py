@@ -10,7 +10,8 @@ from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import JOINT_STATE, Sources, WheelSource
+from mobilecal_cli.model.rig import Sources, WheelSource
+from mobilecal_cli.model.signals import JOINT_STATE
 from mobilecal_cli.readers import open_recording, read_signals
 from mobilecal_cli.readers.description import read_description
 from mobilecal_cli.readers.messages import LARGEST_JOINT_STATE, Channel

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import NumberField
+from mobilecal_cli.model.signals import NumberField
 from mobilecal_cli.readers import number_fields, open_recording
 from mobilecal_cli.readers.signals.wheels import wraps
 

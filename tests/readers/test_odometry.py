@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import TURNS_AT_REST, Sources, Track, WheelGeometry, WheelSource
+from mobilecal_cli.model.rig import Sources, WheelGeometry, WheelSource
+from mobilecal_cli.model.signals import TURNS_AT_REST, Track
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.signals.wheels import (
     Odometry,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import Sources, WheelSource
+from mobilecal_cli.model.rig import Sources, WheelSource
 from mobilecal_cli.readers import join_splits, open_recording, read_description
 
 from . import recordings as r

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import Track
+from mobilecal_cli.model.signals import Track
 from mobilecal_cli.readers.signals.sides import sides_of
 
 SECONDS = np.arange(0, 60, 0.02)

@@ -9,7 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import CLOCKS_DIFFER, Sources, WheelSource
+from mobilecal_cli.model.rig import Sources, WheelSource
+from mobilecal_cli.model.signals import CLOCKS_DIFFER
 from mobilecal_cli.readers import clocks_that_differ, open_recording
 from mobilecal_cli.readers.signals.series import in_order
 from mobilecal_cli.readers.signals.wheels import FieldWheel

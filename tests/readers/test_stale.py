@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import Track
+from mobilecal_cli.model.signals import Track
 from mobilecal_cli.readers.signals.series import Samples, with_rests, without_stale
 
 _TIME_S = np.arange(0, 30, 0.05)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import JointTransform, Sources, WheelSource
+from mobilecal_cli.model.rig import JointTransform, Sources, WheelSource
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.signals.joints import reading
 

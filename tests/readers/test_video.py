@@ -11,7 +11,8 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import Rejection, Sources
+from mobilecal_cli.model.rig import Sources
+from mobilecal_cli.model.signals import Rejection
 from mobilecal_cli.readers import open_recording, pictures_near
 from mobilecal_cli.vision import Detection, detect
 

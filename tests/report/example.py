@@ -10,23 +10,12 @@ import numpy as np
 from mobilecal_cli.calibrate.detect import thumbnail_jpeg
 from mobilecal_cli.calibrate.steps import Data, Fit, Report
 from mobilecal_cli.export.params import params_yaml, with_verdict
-from mobilecal_cli.model import (
-    FACTORS,
-    NINE,
-    Board,
-    CalibratedRobot,
-    Extraction,
-    FloatArray,
-    JointLink,
-    Knowledge,
-    LogSource,
-    Method,
-    Nominal,
-    Provenance,
-    Rejection,
-    Snapshot,
-    Solution,
-)
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE, CalibratedRobot, Knowledge
+from mobilecal_cli.model.observations import Extraction, LogSource, Snapshot
+from mobilecal_cli.model.rig import FACTORS, Board, JointLink, Nominal
+from mobilecal_cli.model.signals import Rejection
+from mobilecal_cli.model.solution import Method, Provenance, Solution
 from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.fleet import FleetRow
 from mobilecal_cli.report.page import report_html

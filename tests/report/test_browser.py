@@ -9,7 +9,10 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.model import FixedLink, JointLink, LogSource, Nominal, Outlier, Rejection
+from mobilecal_cli.model.observations import LogSource
+from mobilecal_cli.model.rig import FixedLink, JointLink, Nominal
+from mobilecal_cli.model.signals import Rejection
+from mobilecal_cli.model.solution import Outlier
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.fleet import FleetRow, fleet_html
 from mobilecal_cli.simulate.robot import ROBOTS

@@ -11,7 +11,9 @@ from mobilecal_cli.calibrate.evaluate import evaluate
 from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.params import params_yaml
-from mobilecal_cli.model import LogSource, Provenance, WheelGeometry, WheelTrack
+from mobilecal_cli.model.observations import LogSource, WheelTrack
+from mobilecal_cli.model.rig import WheelGeometry
+from mobilecal_cli.model.solution import Provenance
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, simulated
 from tests.report.example import params_of, with_uncertainty

@@ -9,7 +9,9 @@ import pytest
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import Inliers
-from mobilecal_cli.model import NINE, Evidence, EvidenceValue, Outlier
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.findings import Evidence, EvidenceValue
+from mobilecal_cli.model.solution import Outlier
 from mobilecal_cli.report.findings import contradiction_sentences, outlier_sentences
 from mobilecal_cli.report.text import summary_text
 from mobilecal_cli.solvers import solve

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.model import Drift, Evaluation
+from mobilecal_cli.model.solution import Drift, Evaluation
 from mobilecal_cli.report.criteria import Metric
 from mobilecal_cli.report.evaluation import EvaluationData
 from mobilecal_cli.report.formats import json_text, like

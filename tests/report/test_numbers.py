@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import SIDES, WheelSource
+from mobilecal_cli.model.rig import SIDES, WheelSource
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import decimals_of, percent_text, std_text, value_text
 from mobilecal_cli.simulate.robot import ROBOTS

@@ -9,7 +9,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.export.params import parameters_from_yaml
-from mobilecal_cli.model import NINE
+from mobilecal_cli.model.calibration import NINE
 from mobilecal_cli.report.numbers import decimals_of
 from mobilecal_cli.report.text import summary_text
 from tests.report.example import make_extraction, make_solution, report_on, solved

@@ -6,7 +6,7 @@ import json
 import re
 from dataclasses import replace
 
-from mobilecal_cli.model import LogSource
+from mobilecal_cli.model.observations import LogSource
 from mobilecal_cli.report.formats import json_text
 from tests.report.example import (
     HOSTILE,

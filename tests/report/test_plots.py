@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import Outlier, Rejection, Snapshot
+from mobilecal_cli.model.observations import Snapshot
+from mobilecal_cli.model.signals import Rejection
+from mobilecal_cli.model.solution import Outlier
 from mobilecal_cli.report.plots import budget_bar, corner_residuals, leg_views, thumbnails, trail
 from mobilecal_cli.report.use import FIGURES, Error
 from tests.pairs import with_views

@@ -10,7 +10,7 @@ import pytest
 from mobilecal_cli.calibrate import steps
 from mobilecal_cli.calibrate.steps import Data, Fit
 from mobilecal_cli.export.extraction import extraction_to_npz
-from mobilecal_cli.model import LogSource
+from mobilecal_cli.model.observations import LogSource
 from mobilecal_cli.report.text import job_summary
 from mobilecal_cli.rig.config import UNCONFIGURED
 from tests.command import succeeded

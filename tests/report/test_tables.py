@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import Nominal, Rejection
+from mobilecal_cli.model.rig import Nominal
+from mobilecal_cli.model.signals import Rejection
 from mobilecal_cli.report.comparison import change_from_nominal, change_since
 from mobilecal_cli.report.formats import Table
 from mobilecal_cli.rig.settings import settings_of

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import EstimatedConstant, LogSource, Parameters, WheelGeometry
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.findings import EstimatedConstant
+from mobilecal_cli.model.observations import LogSource
+from mobilecal_cli.model.rig import WheelGeometry
 from mobilecal_cli.report.comparison import Comparison, comparison_text
 from mobilecal_cli.report.evaluation import Evaluated, evaluation_text
 from mobilecal_cli.report.fleet import fleet_text

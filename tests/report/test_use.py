@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from mobilecal_cli.likelihood.constants import FREED_SIGMAS, KINDS, kind_of
-from mobilecal_cli.model import NINE
+from mobilecal_cli.model.calibration import NINE
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.report.motion import missing_motion
 from mobilecal_cli.report.use import (

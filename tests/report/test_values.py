@@ -13,7 +13,8 @@ from mobilecal_cli.export import params
 from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.constants import corrected_chain
-from mobilecal_cli.model import Corners, Nominal
+from mobilecal_cli.model.observations import Corners
+from mobilecal_cli.model.rig import Nominal
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import image_coverage
 from mobilecal_cli.simulate.robot import TICK_ROBOT

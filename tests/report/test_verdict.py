@@ -8,22 +8,11 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.constants import FREED_SIGMAS, kind_of
-from mobilecal_cli.model import (
-    CAMERA_INFO_CHANGES,
-    CHAIN_ENDS,
-    CHAIN_LACKS,
-    UNUSED,
-    ErrorPart,
-    EstimatedConstant,
-    FixedLink,
-    Jump,
-    Nominal,
-    Outlier,
-    Parameters,
-    Rejection,
-    ScaleCheck,
-    WheelGeometry,
-)
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.findings import EstimatedConstant, Jump, ScaleCheck
+from mobilecal_cli.model.rig import FixedLink, Nominal, WheelGeometry
+from mobilecal_cli.model.signals import CAMERA_INFO_CHANGES, CHAIN_ENDS, CHAIN_LACKS, UNUSED, Rejection
+from mobilecal_cli.model.solution import ErrorPart, Outlier
 from mobilecal_cli.report import checks
 from mobilecal_cli.report.criteria import Case, Metric
 from mobilecal_cli.simulate.robot import RGBD_ROBOT

@@ -15,7 +15,8 @@ from mobilecal_cli.calibrate.load import read_extraction, read_params
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
-from mobilecal_cli.model import Board, Markers, Nominal, Provenance, WheelGeometry
+from mobilecal_cli.model.rig import Board, Markers, Nominal, WheelGeometry
+from mobilecal_cli.model.solution import Provenance
 from mobilecal_cli.rig.config import checked_settings
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.simulate.robot import ROBOTS

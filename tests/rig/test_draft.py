@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 from mobilecal_cli import se3
 from mobilecal_cli.files.reading import load_yaml
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.model import BoardView, NumberField, TopicInfo
+from mobilecal_cli.model.signals import BoardView, NumberField, TopicInfo
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.draft import draft_rig

@@ -6,7 +6,7 @@ import yaml
 
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.constants import KINDS, OF_RECORDINGS, table
-from mobilecal_cli.model import HeadChain, JointLink
+from mobilecal_cli.model.rig import HeadChain, JointLink
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.draft import draft_rig
 from mobilecal_cli.rig.resolve import survey_rig

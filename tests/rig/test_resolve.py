@@ -8,15 +8,8 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
 from mobilecal_cli.files.reading import load_yaml
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.model import (
-    CameraInfo,
-    JointField,
-    NumberField,
-    RobotDescription,
-    TopicInfo,
-    WheelGeometry,
-    WheelSource,
-)
+from mobilecal_cli.model.rig import CameraInfo, JointField, WheelGeometry, WheelSource
+from mobilecal_cli.model.signals import NumberField, RobotDescription, TopicInfo
 from mobilecal_cli.rig.cameras import camera_rig, image_topics
 from mobilecal_cli.rig.config import RigConfig, checked_settings, load_rig
 from mobilecal_cli.rig.draft import draft_rig

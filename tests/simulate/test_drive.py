@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mobilecal_cli.model import WheelGeometry
+from mobilecal_cli.model.rig import WheelGeometry
 from mobilecal_cli.simulate.route import Drive, Stretch, moved, wheel_speeds
 
 WHEELS = WheelGeometry(radius_right_m=0.2, radius_left_m=0.25, separation_m=0.5)

@@ -6,7 +6,7 @@ import pytest
 from scipy.ndimage import map_coordinates, spline_filter
 from scipy.spatial.transform import Rotation
 
-from mobilecal_cli.model import Board, Camera
+from mobilecal_cli.model.rig import Board, Camera
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import PAPER_ROBOT
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import Board
+from mobilecal_cli.model.rig import Board
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import base_in_world, plan_route
 from mobilecal_cli.targets import Motion

@@ -10,7 +10,7 @@ from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.likelihood.constants import table
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import NINE
+from mobilecal_cli.model.calibration import NINE
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.solvers.residuals import at_constants, residuals_of
 from tests.bench.simulated import as_described

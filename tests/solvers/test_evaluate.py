@@ -8,7 +8,9 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.model import Parameters, WheelGeometry, WheelTrack
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.observations import WheelTrack
+from mobilecal_cli.model.rig import WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.solvers import clock_offsets, evaluate, solve
 from tests.bench.imperfect import PERFECT, Case

@@ -11,7 +11,9 @@ from mobilecal_cli.calibrate.gaps import require_observable
 from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import unseen_height
-from mobilecal_cli.model import NINE, FixedLink, HeadChain, JointLink, WheelTrack
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.observations import WheelTrack
+from mobilecal_cli.model.rig import FixedLink, HeadChain, JointLink
 from mobilecal_cli.report.motion import motion_gaps
 from mobilecal_cli.simulate.robot import FIXED_CAMERA_ROBOT, RGBD_ROBOT
 from mobilecal_cli.solvers.constraints import Constraints, constraints_of

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import Track, WheelTrack
+from mobilecal_cli.model.observations import WheelTrack
+from mobilecal_cli.model.signals import Track
 from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.initial import linear_estimate

@@ -11,7 +11,8 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen
-from mobilecal_cli.model import SIDES, Nominal, Track, WheelSource
+from mobilecal_cli.model.rig import SIDES, Nominal, WheelSource
+from mobilecal_cli.model.signals import Track
 from mobilecal_cli.simulate.robot import FIXED_CAMERA_ROBOT, TICK_ROBOT
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.hypotheses import FREE_PARTS, FROZEN, STILL, WHOLE, _free_wheels, _noise_at_rest

@@ -9,7 +9,7 @@ import pytest
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import Increments
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import WheelGeometry
+from mobilecal_cli.model.rig import WheelGeometry
 from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.solvers import initial
 from mobilecal_cli.solvers.initial import grid_of_starts, linear_estimate

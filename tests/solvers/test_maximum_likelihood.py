@@ -11,7 +11,11 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood import between
 from mobilecal_cli.likelihood.constants import table
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import NINE, Corners, Noise, Nominal, Track, WheelTrack
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.observations import Corners, WheelTrack
+from mobilecal_cli.model.rig import Nominal
+from mobilecal_cli.model.signals import Track
+from mobilecal_cli.model.solution import Noise
 from mobilecal_cli.simulate.record import nanoseconds
 from mobilecal_cli.simulate.robot import PAPER_ROBOT, TICK_ROBOT
 from mobilecal_cli.simulate.route import plan_route

@@ -13,7 +13,9 @@ from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import head_pose, integrate
 from mobilecal_cli.kinematics.wheels import Increments
 from mobilecal_cli.measured import Drive, TargetPose, from_motions, from_poses
-from mobilecal_cli.model import Parameters, SensorMotion, WheelGeometry
+from mobilecal_cli.model.calibration import Parameters
+from mobilecal_cli.model.observations import SensorMotion
+from mobilecal_cli.model.rig import WheelGeometry
 from mobilecal_cli.simulate.robot import FIXED_CAMERA_ROBOT, PAPER_ROBOT
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.inference import Inference

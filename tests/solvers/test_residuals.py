@@ -10,7 +10,8 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.model import Extraction, Noise, Solution
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.solution import Noise, Solution
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.initial import start_state

@@ -8,7 +8,9 @@ import pytest
 
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
-from mobilecal_cli.model import NINE, FixedLink, JointLink, Parameters, WheelTrack
+from mobilecal_cli.model.calibration import NINE, Parameters
+from mobilecal_cli.model.observations import WheelTrack
+from mobilecal_cli.model.rig import FixedLink, JointLink
 from mobilecal_cli.report.tables import noise
 from mobilecal_cli.simulate.robot import TICK_ROBOT
 from mobilecal_cli.solvers import Constraints, constraints_of, solve

@@ -8,7 +8,7 @@ import pytest
 from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.kinematics.wheels import cut_at
 from mobilecal_cli.likelihood.effects import WheelSmoothing
-from mobilecal_cli.model import WheelTrack
+from mobilecal_cli.model.observations import WheelTrack
 from mobilecal_cli.simulate.robot import PAPER_ROBOT, TICK_ROBOT
 from tests.actual import STATION_NOISE
 from tests.extractions import Outside, simulated

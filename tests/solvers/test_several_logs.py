@@ -11,7 +11,9 @@ from scipy.special import stdtrit
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import NINE, Corners, WheelGeometry
+from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.observations import Corners
+from mobilecal_cli.model.rig import WheelGeometry
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.motion import motion_gaps
 from mobilecal_cli.simulate.robot import PAPER_ROBOT

@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.model import WheelGeometry
+from mobilecal_cli.model.rig import WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board, Camera, CameraRig
+from mobilecal_cli.model.rig import Board, Camera, CameraRig
 from mobilecal_cli.vision import Detection, Miss
 from tests.pairs import pair_of
 

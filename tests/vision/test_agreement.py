@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import ObservationError
-from mobilecal_cli.model import Board, CameraRig, Rejection, Station
+from mobilecal_cli.model.rig import Board, CameraRig
+from mobilecal_cli.model.signals import Rejection, Station
 from mobilecal_cli.vision import Detection, Measured, agreeing, check_arrangement, check_square
 from tests.pairs import measure, with_pair
 from tests.vision.scenes import random_pose, seen, stereo_rig

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board
+from mobilecal_cli.model.rig import Board
 from mobilecal_cli.vision import Detection, Miss
 from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.observing import StationCorners

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.camera import project
-from mobilecal_cli.model import Board
+from mobilecal_cli.model.rig import Board
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import PAPER_ROBOT
 from mobilecal_cli.vision import corner_model

@@ -9,7 +9,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate.detect import several_sizes
-from mobilecal_cli.model import Board
+from mobilecal_cli.model.rig import Board
 from mobilecal_cli.vision import Detection, Miss, detect, identify_size
 from mobilecal_cli.vision.detection import SizeVote
 from mobilecal_cli.vision.grid import smallest_edge_px

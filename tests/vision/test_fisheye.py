@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board, Camera
+from mobilecal_cli.model.rig import Board, Camera
 from mobilecal_cli.vision import Miss, detect, identify_size
 from mobilecal_cli.vision.grid_map import fit_grid
 from tests.vision.scenes import detected, opencv_pixels, pose, render

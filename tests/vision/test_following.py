@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board
+from mobilecal_cli.model.rig import Board
 from mobilecal_cli.vision import BoardFollower, Detection, Miss, detect
 from mobilecal_cli.vision.detection import find_board, least_response, may_show_board
 from mobilecal_cli.vision.following import follow

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board, Markers, Observation, Station
+from mobilecal_cli.model.observations import Observation
+from mobilecal_cli.model.rig import Board, Markers
+from mobilecal_cli.model.signals import Station
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import PAPER_ROBOT, pixels
 from mobilecal_cli.simulate.scenario import PRINTED

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board, Corners, Observation
+from mobilecal_cli.model.observations import Corners, Observation
+from mobilecal_cli.model.rig import Board
 from mobilecal_cli.vision import resolve_numbering
 from mobilecal_cli.vision.grid import turned
 from tests.vision.scenes import K

@@ -9,7 +9,9 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate.detect import snapshot_jpeg
-from mobilecal_cli.model import Board, Markers, Observation, Rejection, Shot, Station
+from mobilecal_cli.model.observations import Observation
+from mobilecal_cli.model.rig import Board, Markers
+from mobilecal_cli.model.signals import Rejection, Shot, Station
 from mobilecal_cli.vision import Detection, Measured, Miss, agreeing, detect, resolve_square
 from mobilecal_cli.vision.grid import turned
 from tests.pairs import measure

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
-from mobilecal_cli.model import Board, Corners
+from mobilecal_cli.model.observations import Corners
+from mobilecal_cli.model.rig import Board
 from mobilecal_cli.vision import pose as geometry
 from mobilecal_cli.vision.pose import absolute_orientation, pose_from_one, pose_residuals, square_from_points
 from tests.pairs import board_pose

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import Board, Camera
+from mobilecal_cli.model.rig import Board, Camera
 from mobilecal_cli.vision import detect
 from mobilecal_cli.vision.grid_map import fit_grid, roughness_px
 from tests.vision.scenes import detected, random_pose, seen, stereo_rig

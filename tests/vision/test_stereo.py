@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import Board
+from mobilecal_cli.model.rig import Board
 from mobilecal_cli.vision.pose import StereoPoints
 from tests.pairs import triangulate, with_pair
 from tests.vision.scenes import missed, random_pose, seen, stereo_rig

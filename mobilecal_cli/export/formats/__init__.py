@@ -19,7 +19,8 @@ from mobilecal_cli import se3
 from mobilecal_cli.export.scene import Scene
 from mobilecal_cli.export.text import comment, rendered
 from mobilecal_cli.likelihood.predict import off_as_stated
-from mobilecal_cli.model import NINE, CalibratedRobot, Extraction
+from mobilecal_cli.model.calibration import NINE, CalibratedRobot
+from mobilecal_cli.model.observations import Extraction
 from mobilecal_cli.model.text import visible
 
 CONVENTION = (

@@ -11,7 +11,7 @@ from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.formats.camera_info import ros_distortion
 from mobilecal_cli.export.improved import improved_cameras
 from mobilecal_cli.export.text import rendered
-from mobilecal_cli.model import Camera, CameraRig
+from mobilecal_cli.model.rig import Camera, CameraRig
 
 #: Kalibr's reader accepts "none" too, but builds no camera from it.
 _KALIBR_MODELS = {"plumb_bob": "radtan", "equidistant": "equidistant"}

@@ -10,7 +10,8 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.improved import camera_constants, improved_cameras
 from mobilecal_cli.export.text import rendered
-from mobilecal_cli.model import Camera, CameraRig, FloatArray
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import Camera, CameraRig
 
 
 def export(of: Source, camera: str | None = None) -> Exported:

@@ -28,7 +28,9 @@ from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.formats.camera_info import ros_distortion
 from mobilecal_cli.export.scene import Motion, Scene
 from mobilecal_cli.export.text import rendered
-from mobilecal_cli.model import Camera, Corners, FloatArray
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.observations import Corners
+from mobilecal_cli.model.rig import Camera
 
 _MOST_POSES = 2000  # of a path
 _FRUSTUM_M = 0.15

@@ -16,7 +16,11 @@ from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.legs import SLIP_M_PER_SQRT_M, leg_covariances
 from mobilecal_cli.likelihood.processes import mean_variance, rolled_m
-from mobilecal_cli.model import CalibratedRobot, Extraction, FloatArray, Noise, WheelGeometry
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import CalibratedRobot
+from mobilecal_cli.model.observations import Extraction
+from mobilecal_cli.model.rig import WheelGeometry
+from mobilecal_cli.model.solution import Noise
 from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
 
 #: Shorter legs are those between images in motion, or hardly a drive.

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.text import rendered
-from mobilecal_cli.model import SIDES, Side
+from mobilecal_cli.model.rig import SIDES, Side
 
 
 def export(of: Source, wheel_joints: Mapping[Side, str]) -> Exported:

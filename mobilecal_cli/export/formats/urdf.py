@@ -17,7 +17,9 @@ from mobilecal_cli.export.text import attribute, comment
 from mobilecal_cli.files.reading import read_bytes
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, parse_urdf
 from mobilecal_cli.likelihood.constants import WHEEL_SIGMA
-from mobilecal_cli.model import NINE, SIDES, CalibratedRobot, FloatArray, Side
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.calibration import NINE, CalibratedRobot
+from mobilecal_cli.model.rig import SIDES, Side
 from mobilecal_cli.rig.config import LARGEST_URDF_BYTES
 from mobilecal_cli.rig.wheels import urdf_wheels, wheel_distance_m
 

@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mobilecal_cli.model import IntArray
+from mobilecal_cli.model.arrays import IntArray
 from mobilecal_cli.readers.containers.storage import (
     EVERYTHING,
     LATEST_NS,

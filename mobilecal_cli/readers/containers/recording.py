@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError, RecordingError
-from mobilecal_cli.model import IntArray, TopicInfo, listed
+from mobilecal_cli.model.arrays import IntArray
+from mobilecal_cli.model.signals import TopicInfo
+from mobilecal_cli.model.text import listed
 from mobilecal_cli.readers.containers.storage import COUNTED, EVERYTHING, Extent, Message, Storage
 
 

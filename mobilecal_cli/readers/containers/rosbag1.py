@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import IntArray
+from mobilecal_cli.model.arrays import IntArray
 from mobilecal_cli.readers.containers.blocks import Block, BlockStorage
 from mobilecal_cli.readers.containers.storage import LATEST_NS, decompress
 from mobilecal_cli.readers.messages import Channel, ros2_spelling

@@ -24,7 +24,7 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.files.scratch import full_disk_told, scratch_directory
-from mobilecal_cli.model import IntArray
+from mobilecal_cli.model.arrays import IntArray
 from mobilecal_cli.readers.containers.storage import (
     EVERYTHING,
     LATEST_NS,

@@ -15,7 +15,7 @@ import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
 
-from mobilecal_cli.model import IntArray
+from mobilecal_cli.model.arrays import IntArray
 from mobilecal_cli.readers.messages import ALWAYS_BYTES, LARGEST_RATIO, Channel, largest_size
 from mobilecal_cli.readers.messages.types import Decoded, Payload
 

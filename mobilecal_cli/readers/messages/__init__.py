@@ -15,7 +15,8 @@ import numpy as np
 import zstandard
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import JOINT_STATE, listed
+from mobilecal_cli.model.signals import JOINT_STATE
+from mobilecal_cli.model.text import listed
 from mobilecal_cli.readers.messages.types import (
     Decoded,
     Decoder,

@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import CAMERA_INFO, IMAGES, JOINT_STATE, STRING
+from mobilecal_cli.model.signals import CAMERA_INFO, IMAGES, JOINT_STATE, STRING
 
 Payload = bytes | memoryview
 #: A decoded message: an object with the fields of its definition, which is the recording's, known at run time.

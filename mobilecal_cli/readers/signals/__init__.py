@@ -10,19 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError, usable
-from mobilecal_cli.model import (
-    CAMERA_INFO,
-    CLOCKS_DIFFER,
-    IMAGES,
-    SIDES,
-    IntArray,
-    JointField,
-    JointSource,
-    PictureIndex,
-    Signals,
-    Sources,
-    Track,
-)
+from mobilecal_cli.model.arrays import IntArray
+from mobilecal_cli.model.rig import SIDES, JointField, JointSource, Sources
+from mobilecal_cli.model.signals import CAMERA_INFO, CLOCKS_DIFFER, IMAGES, PictureIndex, Signals, Track
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, header_stamp_ns

@@ -9,7 +9,9 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import CAMERA_INFO_CHANGES, Camera, CameraInfo, Distortion, FloatArray, IntArray
+from mobilecal_cli.model.arrays import FloatArray, IntArray
+from mobilecal_cli.model.rig import Camera, CameraInfo, Distortion
+from mobilecal_cli.model.signals import CAMERA_INFO_CHANGES
 from mobilecal_cli.ranges import FOCAL_LENGTH, Range
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, Channel, frame_of
 from mobilecal_cli.readers.messages.types import Decoded, Payload

@@ -10,7 +10,10 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import JOINT_STATE, FloatArray, JointTransform, Track, listed
+from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.rig import JointTransform
+from mobilecal_cli.model.signals import JOINT_STATE, Track
+from mobilecal_cli.model.text import listed
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, frame_of, stamp_of

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import CLOCK_SET, CLOCK_STEPS, CLOCKS_DIFFER, BoolArray, FloatArray, IntArray, Track
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model.signals import CLOCK_SET, CLOCK_STEPS, CLOCKS_DIFFER, Track
 from mobilecal_cli.readers.containers.storage import LEAST_BACK_NS, LEAST_STEP_NS, steps_of
 
 

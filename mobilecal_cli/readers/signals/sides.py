@@ -8,7 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import SIDES, BoolArray, FloatArray, IntArray, Side, Track
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model.rig import SIDES, Side
+from mobilecal_cli.model.signals import Track
 
 #: Wheels are compared over windows of this length in which one of them turns by this much.
 _WINDOW_S, _TURNS_RAD = 1.0, 0.2

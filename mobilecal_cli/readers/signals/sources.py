@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import IMAGES, PictureIndex, Track
+from mobilecal_cli.model.signals import IMAGES, PictureIndex, Track
 from mobilecal_cli.ranges import READING
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent

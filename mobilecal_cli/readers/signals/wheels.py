@@ -10,18 +10,10 @@ from functools import cached_property
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import (
-    TURNS_AT_REST,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    Side,
-    Track,
-    WheelGeometry,
-    WheelSource,
-    listed,
-)
-from mobilecal_cli.model.signals import pauses
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model.rig import Side, WheelGeometry, WheelSource
+from mobilecal_cli.model.signals import TURNS_AT_REST, Track, pauses
+from mobilecal_cli.model.text import listed
 from mobilecal_cli.readers.messages.types import Decoded
 from mobilecal_cli.readers.signals.joints import StatedJoint
 from mobilecal_cli.readers.signals.series import Samples
