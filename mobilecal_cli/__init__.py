@@ -56,7 +56,7 @@ _ELSEWHERE = {
     "from_motions": ("measured", "from_motions"),
     "from_poses": ("measured", "from_poses"),
     "MobilecalError": ("errors", "MobilecalError"),
-    "SensorMotion": ("model", "SensorMotion"),
+    "SensorMotion": ("model.observations", "SensorMotion"),
     "TargetPose": ("measured", "TargetPose"),
     "load": ("calibrate.load", "read_params"),
 }
