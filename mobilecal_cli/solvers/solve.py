@@ -448,14 +448,17 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
 def _diagnosis(solution: Solution, extraction: Extraction, search: Search) -> Diagnosis | None:
     """The mistake in the description or in the readings in spite of which there is a solution.
 
-    A jump that explains the misfit leaves no other mistake of a part of the readings to be searched for, unless a wheel
-    changes by more than any does. Where the part that changed is not known, a reading may have stopped.
+    A jump inside a recording that explains the misfit leaves no other mistake of a part of the readings to be searched
+    for, unless a wheel changes by more than any does. Where the part that changed is not known, a reading may have
+    stopped. A recording that differs from the others may have a mistake of its own.
     """
+    log = [o.log for o in extraction.observations]
     largest_m = _MOST_OF_WHEEL * solution.parameters.wheels.vector[:2].min()
     parts = [
         jump.part
         for jump in solution.jumps
         if jump.shift_sigmas >= MATERIAL_SIGMAS
+        and jump.station != log.index(jump.log)
         and not ("wheel" in jump.part and abs(jump.move_m) > largest_m)
     ]
     if not extraction.motions:  # of which the search is before the estimate

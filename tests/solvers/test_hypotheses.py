@@ -56,6 +56,14 @@ def from_sixth(change):
     return meaning.after(change, 6, twelve)
 
 
+def with_tilt_reversed(extraction):
+    chain = extraction.rig.chain
+    sign = np.where(np.arange(len(chain.joints)) == chain.joints.index(chain.tilt), -1, 1)
+    return replace(
+        extraction, observations=tuple(replace(o, joints=sign * o.joints) for o in extraction.observations)
+    )
+
+
 STUCK = from_sixth(lambda v: 0 * v)
 
 
@@ -370,11 +378,17 @@ def test_the_recording_with_the_pulled_cable_is_named(recorded):
 def test_the_mistake_of_a_short_recording_beside_a_long_one_is_named():
     """Most legs fit without those of the short one."""
     long, short = simulated("standard", NOISE, ROBOT, 20, 4), simulated("standard", NOISE, ROBOT, 5, 5)
-    tilt = short.rig.chain.joints.index(short.rig.chain.tilt)
-    sign = np.where(np.arange(len(short.rig.chain.joints)) == tilt, -1, 1)
-    spoilt = tuple(replace(o, joints=sign * o.joints) for o in short.observations)
-    found = solve(joined(long, replace(short, observations=spoilt))).diagnosis
+    found = solve(joined(long, with_tilt_reversed(short))).diagnosis
     assert found.cause == "recording 2 of 2: the sign of joint tilt_joint is reversed"
+
+
+@pytest.mark.long
+def test_the_mistake_of_a_recording_that_differs_from_the_other_is_named():
+    """The difference alone is a zero of the tilt joint that changed by 11 degrees."""
+    first, second = (simulated("standard", NOISE, ROBOT, 14, seed) for seed in (1, 2))
+    solution = solve(joined(first, with_tilt_reversed(second)))
+    assert [(jump.part, jump.station) for jump in solution.jumps] == [("joint tilt_joint", 14)]
+    assert solution.diagnosis.cause == "recording 2 of 2: the sign of joint tilt_joint is reversed"
 
 
 @pytest.mark.long
