@@ -264,6 +264,8 @@ def scale(case: Case, metric: Metric) -> Iterator[Check]:
         one_factor = abs(common) > limit and len(_alike(ratios, "radius_right")) == len(ratios)
         if not one_factor or rig.sources.assumed_odometry is not None:
             return
+    if any(jump.part.startswith(jumps.FOCAL) for jump in case.solution.jumps):
+        beyond = "warning"  # the sizes follow from a focal length that changes
     yield metric.check(
         common, limit, "common factor of all sizes of the wheels", cure, why=why,
         passes=abs(common) <= max(limit, by_chance), beyond=beyond,

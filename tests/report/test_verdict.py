@@ -255,6 +255,8 @@ def test_one_factor_of_all_sizes_goes_before_what_follows_from_it():
     stated = with_nominal(extraction, Nominal(wheels=WheelGeometry(*(1.5 * WHEELS.vector))))
     assert judge(moved, extraction).reason.startswith("At station 6")
     assert judge(moved, stated).reason.startswith("Radii and separation of the wheels are all at least 33")
+    zoomed = replace(solution, jumps=(jump("focal length of the left camera", extraction),))
+    assert judge(zoomed, stated).reason.startswith("At station 6")
     radii = with_nominal(extraction, Nominal(wheels=WheelGeometry(*(WHEELS.vector * (1.5, 1.5, 1.3)))))
     assert judge(moved, radii).reason.startswith("At station 6")
     # With four wheels, the separation says nothing: slip makes it wider.
