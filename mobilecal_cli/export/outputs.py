@@ -168,14 +168,13 @@ def write_outputs(outputs: Mapping[Path, bytes | Mapping[str, bytes]], force: bo
     Raises:
         OutputError: see `check_output`; or writing failed.
     """
-    recognized = {
-        path: recognized_output
-        if isinstance(content, Mapping)
-        else regular_file
-        if content.startswith(RECORDED)
-        else recognized_file
-        for path, content in outputs.items()
-    }
+
+    def recognize_of(content: bytes | Mapping[str, bytes]) -> Recognize:
+        if isinstance(content, Mapping):
+            return recognized_output
+        return regular_file if content.startswith(RECORDED) else recognized_file
+
+    recognized = {path: recognize_of(content) for path, content in outputs.items()}
     for path, recognize in recognized.items():
         check_output(path, force, recognize=recognize)
     write_all(

@@ -25,6 +25,7 @@ _BY_CHANCE = 1e-3  # probability
 _FEW_STEPS = 2.5  # between two readings: their middle is nearer to the truth than they are
 # Rates are means over the first to either side; accelerations over the second, as steps of encoders count twice there.
 _RATE_NS, _ACCELERATION_NS = 50_000_000, 100_000_000
+_LEAST_HALF_S = 1e-3  # at the ends of a track, where there is no acceleration but rounding
 _SLOW = 0.2  # of the mean turning rate
 _SMALL = 0.1  # rad; below this the series' error (h^10 / 11!) is less than one ulp
 
@@ -213,19 +214,19 @@ def cut_at(track: WheelTrack, times_ns: IntArray, motion: bool = False) -> Incre
 
 def _motion(track: WheelTrack, moments_ns: IntArray) -> FloatArray:
     """(n, 2, 2) rates and accelerations of the right and left wheel around some moments, rad/s and rad/s^2."""
-    out = np.empty((len(moments_ns), 2, 2))
-    for k, width_ns in enumerate((_RATE_NS, _ACCELERATION_NS)):
-        before, after = (
-            np.clip(moments_ns + way * width_ns, track.time_ns[0], track.time_ns[-1]) for way in (-1, 1)
-        )
-        span_s = np.maximum((after - before) * 1e-9, 1e-9)
-        for side, wheel in enumerate((track.right, track.left)):
-            last, first = wheel.at(after), wheel.at(before)
-            if k == 0:
-                out[:, k, side] = (last - first) / span_s
-            else:
-                out[:, k, side] = 4 * (last - 2 * wheel.at(moments_ns) + first) / span_s**2
-    return out
+    start_ns, end_ns = track.time_ns[[0, -1]]
+    before, after = (np.clip(moments_ns + way * _RATE_NS, start_ns, end_ns) for way in (-1, 1))
+    span_s = np.maximum((after - before) * 1e-9, 1e-9)
+    half_ns = np.minimum(_ACCELERATION_NS, np.minimum(moments_ns - start_ns, end_ns - moments_ns))
+    half_s = np.maximum(half_ns * 1e-9, _LEAST_HALF_S)
+    wheels = (track.right, track.left)
+    rates = [(wheel.at(after) - wheel.at(before)) / span_s for wheel in wheels]
+    accelerations = [
+        (wheel.at(moments_ns + half_ns) - 2 * wheel.at(moments_ns) + wheel.at(moments_ns - half_ns))
+        / half_s**2
+        for wheel in wheels
+    ]
+    return np.stack([np.stack(each, axis=1) for each in (rates, accelerations)], axis=1)
 
 
 def join(parts: list[Increments]) -> Increments:
