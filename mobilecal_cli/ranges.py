@@ -120,7 +120,7 @@ ANGLE = Range(-2 * math.pi, 2 * math.pi, "rad")
 #: A rotation about one axis relative to the nominal one.
 TURN = Range(-math.pi, math.pi, "rad")
 #: Standard deviations and noise levels in any unit of this package.
-SIGMA = Range(1e-9, 1e3)
+SIGMA = Range(1e-9, 1e4)
 #: Noise levels that were estimated.
 LEVEL = Range(0.0, 1e3)
 #: The difference of a constant of the robot description from its stated value: rad, m, s or a share.

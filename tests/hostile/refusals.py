@@ -230,7 +230,7 @@ CASES = (
     Case("`--fix pan_zero=5`, degrees", (*SOLVE, "--fix", "pan_zero=5"), 2, "5 looks like degrees: 0.08727 rad", extraction),
     Case(
         "`--prior t_x=0.1±1e-300`", (*SOLVE, "--prior", "t_x=0.1±1e-300"), 2,
-        "standard deviation: 1e-300 is not possible (range 1e-09 to 1000)", extraction,
+        "standard deviation: 1e-300 is not possible (range 1e-09 to 10000)", extraction,
     ),
     Case("`SOURCE_DATE_EPOCH` is a word", SOLVE, 2, "SOURCE_DATE_EPOCH", extraction, {"SOURCE_DATE_EPOCH": "today"}),
     Case("`SOURCE_DATE_EPOCH` is empty: the time is used", SOLVE, 0, "PASS", extraction, {"SOURCE_DATE_EPOCH": ""}),

@@ -56,8 +56,8 @@ def ticks(count):
 
 #: Key of rig.yaml → an extraction with an impossible value, and what the message says.
 CASES = {
-    "pixel": (noise(pixel_px=-1.0), "noise.pixel_px: must be from 1e-09 to 1000"),
-    "joint nan": (noise(joint_rad=float("nan")), "noise.joint_rad: must be from 1e-09 to 1000"),
+    "pixel": (noise(pixel_px=-1.0), "noise.pixel_px: must be from 1e-09 to 10000"),
+    "joint nan": (noise(joint_rad=float("nan")), "noise.joint_rad: must be from 1e-09 to 10000"),
     "prior": (prior(-1.0), "priors.focal_left: must be a standard deviation"),
     "prior negative infinity": (prior(-np.inf), "priors.focal_left: must be a standard deviation"),
     "radius": (nominal(-1.0, 0.1, 0.4), "nominal.wheels.radius_right_m: must be from 0.001 to 10 m"),

@@ -165,5 +165,5 @@ def test_a_setting_without_a_value_is_no_default(bad):
 def test_other_priors_are_refused(write, value):
     with pytest.raises(ConfigError) as caught:
         load_rig(write(f"priors: {{focal_length: {value}}}"))
-    said = "priors.focal_length: must be a standard deviation (0, or from 1e-09 to 1000), fixed or free"
+    said = "priors.focal_length: must be a standard deviation (0, or from 1e-09 to 10000), fixed or free"
     assert said in caught.value.message
