@@ -29,6 +29,7 @@ from mobilecal_cli.solvers.transfer import dead_reckoned
 SIDES = ("right", "left")
 STILL, MOVED = 1e-4, 0.05  # rad or m: a reading that stays the same, and one that changes
 _LONGEST_DELAY_S, _DELAY_STEP_S, _DELAYS = 20.0, 0.25, 4  # delays that are tried, and how many of them
+_USUAL_DELAYS_S = (0.04, -0.04, 0.1, -0.1)  # which images in motion show; negative where the images are late
 _MOSTLY_STILL = 0.1  # share of stations that may be left out of a delay's stop
 _IMAGES = "images are"
 _AROUND_NS = 100_000_000  # before and after a station: at a stop, nothing moves by then
@@ -381,6 +382,14 @@ def _delays(readings: Readings) -> Iterator[Hypothesis]:
                 "correct the clock that stamps them, and record again",
                 partial(earlier, delay_ns=round(delay_s * 1e9)),
             )
+
+
+def late_readings(readings: Readings) -> Iterator[Readings]:
+    """The readings with delays of the wheels, and of wheels and joints, as drivers, filters and cameras have them."""
+    for delay_s in _USUAL_DELAYS_S:
+        yield _wheels_earlier(readings, round(delay_s * 1e9), SIDES)
+        if readings.rig.chain.joints:
+            yield _all_earlier(readings, round(delay_s * 1e9))
 
 
 def _moving_share(readings: Readings, tracks: Sequence[tuple[Track, ...]], shift_s: float) -> float:

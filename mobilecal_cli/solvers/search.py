@@ -36,6 +36,7 @@ from mobilecal_cli.solvers.hypotheses import (
     WHOLE,
     Stages,
     interruptions,
+    late_readings,
     of_one_recording,
     of_sides,
 )
@@ -176,6 +177,7 @@ class Search:
             at_rest
             or self._named(self._readings, WHOLE)
             or other_focal_lengths(self.extraction)
+            or self._with_late_readings()
             or self._named(self._readings, TWO, _FITS_TWO)
         )
 
@@ -211,6 +213,13 @@ class Search:
         if not self._readings.consistent or self._from_a_station_on is not None:
             return None
         return self._named(self._readings, FROZEN, _FITS_FREE)
+
+    def _with_late_readings(self) -> Diagnosis | None:
+        """A wrong sign, side or unit where clocks differ, too, by as much as images in motion show."""
+        if all(o.at_rest for o in self.extraction.observations):
+            return None
+        shifted = (readings for readings in late_readings(self._readings))
+        return next(filter(None, (self._named(each, WHOLE[:1]) for each in shifted)), None)
 
     def _images(self) -> Diagnosis:
         """Images that do not even show the board as a board: what moves the robot explains nothing then."""
