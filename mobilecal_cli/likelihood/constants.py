@@ -111,7 +111,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("turn_slip", *_SHARE, 0.03, "effective wheel separation at twice the mean turning rate (four wheels)"),
     Kind("turn_sides", *_SHARE, 0.002, "effective wheel separation in left turns against the mean of all turns"),
     Kind("wheel_delay", *_TIME, 0.001, "delay of the right wheel's readings against the left one's"),
-    Kind("wheel_smoothing", "s^2", "ms^2", 1e6, 5e-4, "smoothing of the wheels' readings, square of its time"),
+    Kind("wheel_smoothing", "s^2", "ms^2", 1e6, 5e-4, "filter of the wheels' readings (time constant squared)"),
     Kind("backlash", *_ANGLE, 0.1 * _DEGREE, "backlash of a head joint", r"backlash_.+"),
 )
 # fmt: on
@@ -250,7 +250,7 @@ def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
         _row("turn_sides", "turn_sides", "wheels", "effective separation in left turns", Widening("side")),
         _row("wheel_delay", "wheel_delay", "wheels", "delay of the right wheel's readings against the left one's",
              WheelDelay()),
-        _row("wheel_smoothing", "wheel_smoothing", "wheels", "smoothing of the readings, square of its time",
+        _row("wheel_smoothing", "wheel_smoothing", "wheels", "filter of the readings (time constant squared)",
              WheelSmoothing()),
         *_of_cameras(_DELAYS, names, but=1),
         _row("readout", "readout", every, "time between the first and the last row",

@@ -306,7 +306,7 @@ STATED: dict[str, Stated] = {
                           "Read both wheels in one message, check them for slip and play where they speed up, and "
                           "record again; or state priors.wheel_delay in rig.yaml (in ms)."),
     "wheel_smoothing": Stated("time stamps", "Stop for images, or publish positions as the encoders read them",
-                              "readings that nothing smooths",
+                              "unfiltered readings",
                               "Publish positions as the encoders read them, without a filter; or stop for images."),
     "backlash": Stated("head geometry", "Approach each head pose from both sides", "no backlash",
                        "Repair the joint, or approach each head pose from the same side."),
