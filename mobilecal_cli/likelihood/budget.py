@@ -9,13 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.likelihood.corners import blocks_of
+from mobilecal_cli.likelihood.effects import ChainEffect
 from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.measurements import ERRORS, JOINTS, SWAY
-from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy
+from mobilecal_cli.likelihood.posterior import Posterior, moved_with, over_redundancy
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.views import of_each_image, roots, summed, whitened_rows
-from mobilecal_cli.model.arrays import FloatArray, IntArray
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray
 from mobilecal_cli.model.calibration import NINE
+from mobilecal_cli.model.rig import JointLink
 
 _NO_REDUNDANCY = 1e-6
 #: The constant that stands for the size of the world in the images.
@@ -222,24 +224,66 @@ def shares(lin: Posterior, by_level: Mapping[str, FloatArray]) -> Mapping[str, F
 def expected_gradient(lin: Posterior) -> FloatArray:
     """(P,) gradient that half the sum of squares is expected to have at the true parameters.
 
-    If the whole world shrinks, the images stay; what the wheels miss by and the heights of floor and sway
-    shrink, and half their sum of squares falls, whatever the size of the world. The best values of the stations'
-    unknowns make it least. In the likelihood of the other parameters alone, these integrated out, half the logarithm of
-    the determinant of their information makes up for it (Laplace's approximation): its derivative is minus the number
-    of these residuals, less what the unknowns take up. Without noise they are zero, and so is the gradient.
-
-    With 2,000 stations, a square size that is stated to 0.1 % would come out 1.5 of these sigmas too small.
+    The best values of the stations' unknowns make it least. In the likelihood of the other parameters alone, these
+    integrated out, half the logarithm of the determinant of their information makes up for it (Laplace's
+    approximation): so this is minus its derivative. See `_of_size` and `_of_levers`.
     """
     bias = np.zeros(lin.data.layout.size)
     if _SIZE in lin.data.layout.names:
-        W, left = lin.leg_weight[:, :2], lin.leg_covariance - lin.marginals.legs
-        squares = float(np.einsum("la,lab,lb->", lin.legs.residual[:, :2], W, lin.legs.residual))
-        redundancy = float(np.einsum("lab,lba->", W, left[:, :, :2]))
-        for each in of_errors(lin, lin.state.base[:, ERRORS]):
-            for level in filter(_HEIGHTS.__contains__, each.parts):
-                of_level, free = each.shown(level)
-                squares, redundancy = squares + float(of_level.sum()), redundancy + float(free.sum())
-        # Far from the optimum, rounding is all.
-        redundancy = min(max(redundancy, 0.0), 2.0 * (len(left) + lin.data.stations))
-        bias[lin.data.layout.names.index(_SIZE)] = min(squares, redundancy)
+        bias[lin.data.layout.names.index(_SIZE)] = _of_size(lin)
+    for joints, columns in _on_the_head(lin).items():
+        bias[columns] = _of_levers(lin, np.array(joints, dtype=np.bool_), lin.views.by_shared[:, :, columns])
     return bias
+
+
+def _of_size(lin: Posterior) -> float:
+    """The part of `expected_gradient` by the size of the world.
+
+    If the whole world shrinks, the images stay; what the wheels miss by and the heights of floor and sway shrink, and
+    half their sum of squares falls, whatever the size of the world. The derivative is minus the number of these
+    residuals, less what the unknowns take up. Without noise they are zero, and so is the gradient.
+
+    With 2,000 stations, a square size that is stated to 0.1 % would come out 1.5 of these sigmas too small.
+    """
+    W, left = lin.leg_weight[:, :2], lin.leg_covariance - lin.marginals.legs
+    squares = float(np.einsum("la,lab,lb->", lin.legs.residual[:, :2], W, lin.legs.residual))
+    redundancy = float(np.einsum("lab,lba->", W, left[:, :, :2]))
+    for each in of_errors(lin, lin.state.base[:, ERRORS]):
+        for level in filter(_HEIGHTS.__contains__, each.parts):
+            of_level, free = each.shown(level)
+            squares, redundancy = squares + float(of_level.sum()), redundancy + float(free.sum())
+    # Far from the optimum, rounding is all.
+    return min(squares, max(redundancy, 0.0), 2.0 * (len(left) + lin.data.stations))
+
+
+def _on_the_head(lin: Posterior) -> Mapping[tuple[bool, ...], list[int]]:
+    """Which joints (J,) are between the base and what moves the camera → the shared parameters that move it there."""
+    chain, columns = lin.data.chain, defaultdict[tuple[bool, ...], list[int]](list)
+    columns[(True,) * len(chain.joints)] += range(6)
+    for column, _, effect in lin.data.layout.of(ChainEffect):
+        before = {link.joint for link in chain.links[: effect.link] if isinstance(link, JointLink)}
+        columns[tuple(name in before for name in chain.joints)].append(column)
+    return columns
+
+
+def _of_levers(lin: Posterior, joints: BoolArray, by_shared: FloatArray) -> FloatArray:
+    """(n,) the part of `expected_gradient` by what moves the camera on the base, or beyond some joints (J,).
+
+    The longer the lever of the camera, the better a lean of the base, or an error of a joint, explains what the wheels
+    miss by. A twist of the camera changes the derivatives of delta by these to ``(1 + ad(twist))`` times them.
+
+    In motion over a flat floor, the head would come out meters too high, ten sigmas of what the images show of it.
+
+    Args:
+        lin: the point.
+        joints: see `_on_the_head`.
+        by_shared: (N, 6, n) delta by the parameters.
+    """
+    pull = lin.views.rows[:, :6, :6] @ moved_with(lin, joints)
+    turn, shift = _axial(pull[:, :3, :3] + pull[:, 3:, 3:]), _axial(pull[:, 3:, :3])
+    return -np.asarray(np.einsum("nq,nqp->p", np.concatenate([turn, shift], axis=1), by_shared))
+
+
+def _axial(M: FloatArray) -> FloatArray:
+    """(N, 3) the derivative by w of the sum of the elements of M * [w]_x, (N, 3, 3)."""
+    return np.stack([M[:, 2, 1] - M[:, 1, 2], M[:, 0, 2] - M[:, 2, 0], M[:, 1, 0] - M[:, 0, 1]], axis=1)

@@ -19,7 +19,7 @@ from mobilecal_cli.likelihood.measurements import ERRORS
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, station_rows
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.likelihood.views import summed
-from mobilecal_cli.model.arrays import FloatArray
+from mobilecal_cli.model.arrays import BoolArray, FloatArray
 from mobilecal_cli.model.calibration import NINE
 
 _SCATTERS = 5.0  # of what noise alone would show, in its standard deviations
@@ -85,6 +85,11 @@ class Posterior(Linearization):
         """(L, K, P) the legs' residuals by the shared parameters, all else following."""
         base, legs, (i, j) = self.normal.base_by_shared, self.legs, self.data.legs.T
         return np.asarray(legs.by_start @ base[i] + legs.by_end @ base[j] + legs.by_shared)
+
+    @cached_property
+    def base_covariance(self) -> tuple[FloatArray, FloatArray]:
+        """Covariances of the base blocks for known boards and shared parameters, see `BlockTridiagonal.covariance`."""
+        return self.normal.stations.covariance()
 
     @cached_property
     def marginals(self) -> Marginals:
@@ -158,6 +163,36 @@ def over_redundancy(residual: FloatArray, left: FloatArray, least: float) -> Flo
     return np.asarray((vectors @ along[..., None])[..., 0])
 
 
+def _by_errors(
+    lin: Posterior, by_own: FloatArray, by_board: FloatArray | float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Delta, or a part of it, by the base blocks, the stations' own errors and the board, all else following.
+
+    Args:
+        lin: the point.
+        by_own, by_board: its derivatives by the stations' own errors and by the board.
+    """
+    normal, by_base = lin.normal, lin.views.by_base
+    followed = by_base @ normal.base_by_board + by_own @ normal.own_by_board
+    return by_base + by_own @ normal.own_by_base, by_own, followed + by_board
+
+
+def moved_with(lin: Posterior, joints: BoolArray) -> FloatArray:
+    """(N, 6, 6) covariance of delta with the part of it that base poses, stance and some joints (J,) make (columns).
+
+    That for known shared parameters.
+    """
+    normal, of = lin.normal, np.append(joints, [True] * 3)
+    covariances = (
+        normal.stations.covariance()[0],
+        normal.own_covariance,
+        normal.board_covariance[lin.data.log],
+    )
+    delta = _by_errors(lin, lin.views.by_own, lin.views.by_board)
+    part = _by_errors(lin, lin.views.by_own * of, 0.0)
+    return np.asarray(sum(A @ C @ B.mT for A, C, B in zip(delta, covariances, part, strict=True)))
+
+
 def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
     """(n, m, m) A C A^T; C is (n, P, P), or the same (P, P) for all."""
     return (A @ C if C.ndim > 2 else np.tensordot(A, C, 1)) @ A.mT
@@ -175,13 +210,14 @@ def marginals(lin: Posterior) -> Marginals:
     views, legs, log = lin.views, lin.legs, lin.data.log
     # The board of a recording is one unknown of all its stations: their covariance for a known board comes first.
     V = normal.board_covariance[log]
-    known, cross = normal.stations.covariance()
+    known, cross = lin.base_covariance[0], lin.base_covariance[1].copy()
     own = known + _sandwich(with_board, V)
     cross[:-1] += with_board[:-1] @ V[:-1] @ with_board[1:].mT
 
-    K = views.by_base @ with_board + views.by_own @ normal.own_by_board + views.by_board
-    of_views = _sandwich(views.by_base + views.by_own @ by_base, known) + _sandwich(K, V)
-    of_views += _sandwich(views.by_own, normal.own_covariance)
+    by_errors = zip(
+        _by_errors(lin, views.by_own, views.by_board), (known, normal.own_covariance, V), strict=True
+    )
+    of_views = np.asarray(sum(_sandwich(A, covariance) for A, covariance in by_errors))
     errors = normal.own_covariance + _sandwich(by_base, known) + _sandwich(normal.own_by_board, V)
     i, j = lin.data.legs.T
     of_base = normal.base_by_shared[:, ERRORS]

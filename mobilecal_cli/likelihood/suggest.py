@@ -236,7 +236,7 @@ def suggestions(lin: Posterior, covariance: FloatArray) -> tuple[Suggestion, ...
         [np.eye(len(covariance)), normal.board_by_shared[last], normal.base_by_shared[-1][:STAMP]]
     )
     joint = by_shared @ covariance @ by_shared.T + by_board @ normal.board_covariance[last] @ by_board.T
-    joint[-STAMP:, -STAMP:] += normal.stations.covariance()[0][-1][:STAMP, :STAMP]
+    joint[-STAMP:, -STAMP:] += lin.base_covariance[0][-1][:STAMP, :STAMP]
     needed = np.concatenate([NEEDED[:6], NEEDED[6:] * wheels])
     vertical = unseen_height(lin.data.chain)
     if vertical is not None:
