@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -271,10 +271,9 @@ class Inference:
 
         The priors' scales stay in a round in which they lead to where the first order does not hold, and more is left
         over than there was: what it leaves out looks like a contradiction of what hardly shows, such as the height of a
-        joint on a floor that is level. Where the rounds go in a circle, each place denies the scales of the others: the
-        narrowest stay.
+        joint on a floor that is level.
         """
-        tolerance, before = _FINE if fine else _COARSE, list[Noise]()
+        tolerance = _FINE if fine else _COARSE
         for _ in range(_NOISE_FITS):
             near, noise = self._levels_near(fit.lin, tolerance)
             if converged(fit.noise, noise, _HELD * tolerance):
@@ -285,11 +284,6 @@ class Inference:
                 if there.cost - near.cost > start.cost:
                     noise = replace(self, scales_stay=True)._levels_near(fit.lin, tolerance)[1]
                     start = fit.lin.with_noise(noise).renewed()
-            if circle := _circle(before, noise):
-                self = replace(self, scales_stay=True)
-                narrowest = {kind: min(each.wider.get(kind, 1.0) for each in circle) for kind in noise.wider}
-                start = fit.lin.with_noise(replace(noise, wider=narrowest)).renewed()
-            before.append(noise)
             fit = self._fit_from(start.under(self.priors(start.state)))
         return fit
 
@@ -439,14 +433,6 @@ class Inference:
                 break
             lin = to_first_order(lin.with_noise(noise))
         return lin, noise
-
-
-def _circle(before: Sequence[Noise], noise: Noise) -> Sequence[Noise]:
-    """The levels of the rounds since those of an early one, to which these lead back; none where they do not."""
-    if not before or converged(before[-1], noise, _HELD * _COARSE):
-        return ()
-    first = next((k for k, each in enumerate(before) if converged(each, noise, _HELD * _COARSE)), len(before))
-    return before[first:]
 
 
 def _unbiased(lin: Posterior) -> Posterior:

@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.calibrate.steps import Data, Report, fitted
-from mobilecal_cli.solvers import maximum_likelihood, solve
-from mobilecal_cli.solvers.constraints import Constraints
-from mobilecal_cli.solvers.inference import Inference
+from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.noise import _LOG_FACTORS, expected_factors, widths
 from tests.bench import imperfect
 from tests.bench.drawn import drawn
-from tests.extractions import Noise, simulated
-from tests.fits import maximum_likelihood as fitted_of
+from tests.fits import maximum_likelihood
 
 
 def factors(off, information):
@@ -53,7 +50,7 @@ def test_wider_only_if_the_measurements_show_so():
 @pytest.mark.parametrize(("robot", "wider"), [("pan-tilt", True), ("camera on pan-tilt", False)])
 def test_squares_of_one_camera_keep_their_prior(robot, wider):
     """With a slow rolling shutter, a slight pull on them grew as it was followed: wheels of 2.5 times their size."""
-    fit = fitted_of(imperfect.Case(robot=robot, noise=imperfect.USUAL).extraction(0))
+    fit = maximum_likelihood(imperfect.Case(robot=robot, noise=imperfect.USUAL).extraction(0))
     off = np.where(np.array(fit.data.layout.names) == "square_scale", 0.02, 0.0)
     lin = fit.lin.at(fit.lin.state.plus_shared(off), fit.inliers, fit.noise, fit.lin.priors)
     assert (widths(lin)["square_size"] > 2.0) == wider
@@ -86,33 +83,13 @@ def test_two_kinds_that_explain_the_same_do_not_take_turns():
     assert 8 < solution.uncertainty.noise.wider["joint_zero"] < 15
 
 
-def test_rounds_that_go_in_a_circle_end_with_the_narrowest_scales(monkeypatch):
-    """Far along what the data hardly show, each place denied the scales of the other: 20 fits, 530 s with 900 images."""
-    inference = Inference.of(simulated("standard", Noise(pixel_px=0.2), stations=5), Constraints())
-    levels_near, rounds = Inference._levels_near, []
-
-    def in_turn(self, lin, tolerance, kept=frozenset()):
-        if self.scales_stay:
-            return levels_near(self, lin, tolerance, kept)
-        rounds.append(lin.noise)
-        wider = (1.0, 20.0, 3.0)[len(rounds) % 3]
-        return lin, replace(lin.noise, wider=dict.fromkeys(lin.noise.wider, 1.0) | {"joint_position": wider})
-
-    supposed = maximum_likelihood._supposed(inference, inference.initial(), {})
-    first = inference.fit(supposed.state, supposed.inliers, supposed.noise)
-    monkeypatch.setattr(Inference, "_levels_near", in_turn)
-    fit = inference.estimate_noise(first, fine=True)
-    assert len(rounds) == 4
-    assert fit.noise.wider["joint_position"] == 1.0
-
-
 def test_the_search_does_not_amplify_rounding():
     """Correlation lengths moved in steps of a grid: 1e-14 of the joint readings moved a parameter by 0.05 sigma."""
     extraction = drawn("paper's robot, N = 12").extraction(10)
     readings = [o.joints * (1 + 1e-14) for o in extraction.observations]
     joints = zip(extraction.observations, readings, strict=True)
     again = replace(extraction, observations=tuple(replace(o, joints=q) for o, q in joints))
-    found, other = fitted_of(extraction), fitted_of(again)
+    found, other = maximum_likelihood(extraction), maximum_likelihood(again)
     step = other.lin.state.parameters.minus(found.lin.state.parameters)
     assert np.abs(step / np.sqrt(np.diag(found.covariance)[:9])).max() < 1e-3
 
@@ -185,7 +162,7 @@ def test_images_that_shift_are_no_change_of_a_camera(robot, motion, shift_px):
     "case", [imperfect.Case("camera on pan-tilt", motion="moving", images=16), imperfect.Case(stations=8)]
 )
 def test_one_camera_and_stops_have_no_such_time(case):
-    estimated = fitted_of(case.extraction(0)).components
+    estimated = maximum_likelihood(case.extraction(0)).components
     assert "pair_s" not in estimated
     assert ("shift_px" in estimated) == (case.robot == "pan-tilt")
 
