@@ -190,7 +190,6 @@ class Uncertainty(ReadOnly):
         fixed: (9,) parameters fixed by the user; their variance is zero.
         jackknife_std: (9,) standard deviations from leaving out stations and legs in turn, with the pose of the
             reference camera, for comparison.
-        noise_std: (9,) the same from the noise levels alone, without `widened`.
         described: (9,) unobservable parameters that no motion of this robot shows: the height of a camera that never
             tilts. They are as described, or as the user's prior says; expected errors at work and the budget are about
             all else.
@@ -214,7 +213,6 @@ class Uncertainty(ReadOnly):
     noise: NoiseLevels
     fixed: Annotated[BoolArray, 9]
     jackknife_std: Annotated[FloatArray, 9]
-    noise_std: Annotated[FloatArray, 9]
     described: Annotated[BoolArray, 9]
     widened: Annotated[FloatArray, 9]
     at_work: AtWork

@@ -157,7 +157,6 @@ def uncertainty_of(fit: LikelihoodFit) -> Uncertainty:
         ),
         fixed=fixed,
         jackknife_std=np.sqrt(np.diag(J @ jackknife @ J.T)),
-        noise_std=np.sqrt(np.diag(J @ fit.covariance @ J.T)),
         described=~observable & ~fixed & (but_height < OBSERVABLE_SHARE * scales),
         widened=widened,
         at_work=expected(weights, shared),

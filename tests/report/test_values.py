@@ -107,7 +107,7 @@ def test_the_right_camera_has_its_own_covariance_and_jackknife():
     as_if_exact = np.sqrt(np.diag(lever @ found.covariance @ lever.T))
     assert not np.allclose(std[:6], as_if_exact[:6], rtol=1e-3)
     assert std[6:] == pytest.approx(found.std[6:])
-    ratio = found.jackknife_std[3:6] / found.noise_std[3:6]
+    ratio = found.jackknife_std[3:6] / std[3:6]
     assert ((ratio > 0.3) & (ratio < 3)).all()
 
 
