@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -147,7 +146,8 @@ def _divides(step: float, changes: FloatArray, tried: int) -> bool:
     return bool(tried * by_chance ** (different - 1) < _BY_CHANCE)
 
 
-def encoder_steps_rad(tracks: Sequence[WheelTrack]) -> FloatArray:
+@lru_cache(maxsize=8)  # the search for a mistake asks for the same tracks with each of its hypotheses
+def encoder_steps_rad(tracks: tuple[WheelTrack, ...]) -> FloatArray:
     """Resolution of the right and left wheel's encoder, the largest over the recordings, (2,).
 
     Recordings with few readings say nothing alone: they count as one.
@@ -158,7 +158,9 @@ def encoder_steps_rad(tracks: Sequence[WheelTrack]) -> FloatArray:
         joined = [np.cumsum(np.concatenate([[0.0], *short]))] if short else []
         long = [values for values in readings if len(values) >= _FEW_READINGS]
         steps_rad.append(max((encoder_step_rad(values) for values in long + joined), default=0.0))
-    return np.array(steps_rad)
+    found = np.array(steps_rad)
+    found.setflags(write=False)
+    return found
 
 
 def between_steps(track: Track, step_rad: float) -> Track:

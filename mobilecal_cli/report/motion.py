@@ -169,7 +169,7 @@ def gaps_between(
     for track, times in zip(wheels, times_ns, strict=True):
         if len(times) > 1:
             Phi.append(cut_at(track, times).totals_rad)
-    motion = motion_seen(head_pose(chain, joints), np.concatenate(Phi), encoder_steps_rad(wheels))
+    motion = motion_seen(head_pose(chain, joints), np.concatenate(Phi), encoder_steps_rad(tuple(wheels)))
     gaps = []
     if not motion.tilts and unseen_height(chain) is None:
         gaps.append(

@@ -218,6 +218,6 @@ def test_each_wheel_keeps_the_step_of_its_encoder():
         for late, step in ((0.0, 0.0466), (0.007, 0.0211))
     )
     track = WheelTrack(right, left)
-    assert encoder_steps_rad([track]) == pytest.approx([0.0466, 0.0211])
+    assert encoder_steps_rad((track,)) == pytest.approx([0.0466, 0.0211])
     assert encoder_step_rad(track.right_rad) < 0.01
-    assert encoder_steps_rad([]).tolist() == [0.0, 0.0]
+    assert encoder_steps_rad(()).tolist() == [0.0, 0.0]
