@@ -33,38 +33,24 @@ _CLEARLY_WIDER = 1.5
 def robust_fit(inference: Inference, start: Parameters | None = None) -> LikelihoodFit:
     """Scales of the priors and outliers, decided one under the other, and a fine fit at the end.
 
-    Usually there are no outliers, under the stated priors nor with their scales: then all measurements decide at once.
+    Usually there are no outliers: then all measurements decide at once.
     Else, the outliers come first, under the stated priors: a gross error of a measurement must not look like a wrong
     description.
-
-    A part that moves in the middle of the recording may drive the scales so far that the fit has no end. Then it is
-    the one under the stated priors: the jump explains the misfit, not the description.
 
     Raises:
         SolveError: not converged, or an unobservable parameter without a nominal value.
     """
     supposed = _supposed(inference, start or inference.initial(), {})
     first, as_stated = _first_fit(inference, supposed), replace(inference, scales_stay=True)
-    fit = _of_all(inference, as_stated, first) if first.inliers.same(supposed.inliers) else None
-    if fit is not None:
-        return fit
-    fit = _without_outliers(as_stated, first)
-    try:
-        return _with_scales(inference, as_stated, fit)
-    except SolveError:
-        if as_stated.jump(fit) is None:
-            raise
-        return as_stated.estimate_noise(fit, fine=True)
+    fit = _of_all(inference, first) if first.inliers.same(supposed.inliers) else None
+    return fit or _with_scales(inference, as_stated, _without_outliers(as_stated, first))
 
 
-def _of_all(inference: Inference, as_stated: Inference, first: LikelihoodFit) -> LikelihoodFit | None:
-    """The fit of all measurements with the scales of the priors; None where one is an outlier, also as described."""
+def _of_all(inference: Inference, first: LikelihoodFit) -> LikelihoodFit | None:
+    """The fit of all measurements with the scales of the priors; None where one is an outlier."""
     try:
         fit = _corners_decided(inference, inference.estimate_noise(first))
         if not fit.inliers.views.all() or any(_suspects(inference, fit)):
-            return None
-        stated = fit.lin.with_noise(replace(fit.noise, wider={}))
-        if any(_suspects(as_stated, as_stated.refit_near(replace(fit, lin=stated), fit.inliers))):
             return None
         return inference.estimate_noise(fit, fine=True)
     except (SolveError, np.linalg.LinAlgError):
