@@ -34,54 +34,60 @@ def require_stations(extraction: Extraction) -> None:
     rejected = f"; rejected: {counted}" if counted else ""
     looked_at = extraction.counts.get("stations", have)
     where = f"the board was found at {have} of {looked_at} stations"
-    images, needed = extraction.rig.cameras.images_words, readable_words(extraction.board)
-    cure = (
-        f"keep the whole board in {images}, at rest, in good light, with {needed}; where the robot hardly rests in "
-        "front of it, use --stations all"
-    )
-    stage, reason = reasons[0][0] if reasons else ("", "")
-    if have == looked_at or stage == "stations":
-        more = "stop at more places in front of the board"
-        if reason == NO_READINGS:
-            more = "check that joints and wheels are recorded as long as the images, with stamps of one clock"
-        if reason == FROZEN:
-            more = "check the driver and the cable of the camera whose images do not change"
-        cure = noting(more, extraction.first_notes)
-    ambiguous = sum(item.reason == Reason.AMBIGUOUS for item in extraction.rejections)
-    if have < FEWEST_STATIONS <= have + ambiguous:
-        cure = (
-            "use a board of which one number of inner corners is even and the other odd, such as 9 x 6, or one with "
-            "markers; or stand the board upright"
-        )
-    if reason in (Reason.LARGER, Reason.OTHER_SIZE):
-        cure = (
-            f"set the number of the board's inner corners with --board: {extraction.board.columns} x "
-            f"{extraction.board.rows} was used; keep other checkerboards out of view"
-        )
-    if reason == Reason.OTHER_MARKERS:
-        said = next(item.detail for item in extraction.rejections if item.reason == reason)
-        said = said.partition("(")[2].partition(")")[0] or said
-        cure = f"correct the board in rig.yaml (columns, rows, dictionary, first_id, gap_share): {said}"
-    if closer := nearer(extraction):
-        cure = closer
-    sides = [track.value for log in extraction.wheels for track in (log.right, log.left)]
-    if sides and all(np.ptp(value) == 0 for value in sides if len(value)):
-        cure = (
-            "the readings of both wheels never change: record the driver of the wheels while the base moves"
-        )
-    if reason == Reason.SECOND_BOARD:
-        cure = "cover or remove the other checkerboard: only one may be in view"
-    if reason == Reason.SQUARES_UNKNOWN:
-        alone = "set board.square_m in rig.yaml, or with --set: stations that one camera alone shows need it"
-        cure = noting(alone, extraction.first_notes)
     if extraction.measured:
-        where, cure = f"poses of {have} stations", "give poses at more places in front of the target"
+        where = f"poses of {have} stations"
+    stage, reason = reasons[0][0] if reasons else ("", "")
+    cure = _more_stations(extraction, reason, have < looked_at and stage != "stations")
     if have < FEWEST_STATIONS:
         raise ObservationError(f"{where} (at least {FEWEST_STATIONS} needed){rejected}", cure)
     raise ObservationError(
         f"{where} in {logs} recordings: only {have - logs} legs join consecutive stations of one recording "
         f"(at least {FEWEST_LEGS} needed){rejected}",
         f"record more stations in each recording; {cure}",
+    )
+
+
+def _more_stations(extraction: Extraction, reason: str, without_board: bool) -> str:
+    """What to do about too few stations, the likeliest cause first; some may be rejected for want of the board."""
+    have = len(extraction.observations)
+    board, rejections = extraction.board, extraction.rejections
+    if extraction.measured:
+        return "give poses at more places in front of the target"
+    if reason == Reason.SQUARES_UNKNOWN:
+        alone = "set board.square_m in rig.yaml, or with --set: stations that one camera alone shows need it"
+        return noting(alone, extraction.first_notes)
+    if reason == Reason.SECOND_BOARD:
+        return "cover or remove the other checkerboard: only one may be in view"
+    sides = [track.value for log in extraction.wheels for track in (log.right, log.left)]
+    if sides and all(np.ptp(value) == 0 for value in sides if len(value)):
+        return (
+            "the readings of both wheels never change: record the driver of the wheels while the base moves"
+        )
+    if closer := nearer(extraction):
+        return closer
+    if reason == Reason.OTHER_MARKERS:
+        said = next(item.detail for item in rejections if item.reason == reason)
+        said = said.partition("(")[2].partition(")")[0] or said
+        return f"correct the board in rig.yaml (columns, rows, dictionary, first_id, gap_share): {said}"
+    if reason in (Reason.LARGER, Reason.OTHER_SIZE):
+        return (
+            f"set the number of the board's inner corners with --board: {board.columns} x {board.rows} was used; keep "
+            "other checkerboards out of view"
+        )
+    if have < FEWEST_STATIONS <= have + sum(item.reason == Reason.AMBIGUOUS for item in rejections):
+        return (
+            "use a board of which one number of inner corners is even and the other odd, such as 9 x 6, or one with "
+            "markers; or stand the board upright"
+        )
+    if not without_board:
+        more = {
+            NO_READINGS: "check that joints and wheels are recorded as long as the images, with stamps of one clock",
+            FROZEN: "check the driver and the cable of the camera whose images do not change",
+        }.get(reason, "stop at more places in front of the board")
+        return noting(more, extraction.first_notes)
+    return (
+        f"keep the whole board in {extraction.rig.cameras.images_words}, at rest, in good light, with "
+        f"{readable_words(board)}; where the robot hardly rests in front of it, use --stations all"
     )
 
 
