@@ -72,24 +72,8 @@ def agreeing(starts: Iterable[Posterior], near: Iterable[Posterior]) -> tuple[St
         least = again
     views = least.used["views"] & (np.sum(~least.used["readings"], axis=1) <= 1)
     readings = least.used["readings"] | ~views[:, None]
-    legs = _holding(least.lin.data.legs, views, least.used["legs"])
-    return least.lin.state, replace(least.lin.inliers, views=views, legs=legs, readings=readings)
-
-
-def _holding(ends: IntArray, views: BoolArray, legs: BoolArray) -> BoolArray:
-    """(L,) used legs, with one of each station of which nothing else is used: alone, it contradicts nothing.
-
-    Args:
-        ends: (L, 2) stations of each leg.
-        views, legs: (N,) and (L,) those that are used.
-    """
-    held = views.copy()
-    held[ends[legs]] = True
-    used = legs.copy()
-    for leg, stations in enumerate(ends):
-        if not held[stations].all():
-            used[leg] = held[stations] = True
-    return used
+    inliers = replace(least.lin.inliers, views=views, legs=least.used["legs"], readings=readings)
+    return least.lin.state, inliers
 
 
 @dataclass(frozen=True, eq=False)

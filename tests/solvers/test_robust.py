@@ -11,7 +11,7 @@ from mobilecal_cli.measured import from_motions
 from mobilecal_cli.solvers import Constraints
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import start_state
-from mobilecal_cli.solvers.robust import _holding, _stepped, _weight, agreeing
+from mobilecal_cli.solvers.robust import _stepped, _weight, agreeing
 from tests.bench.simulated import spoiled
 from tests.extractions import simulated
 from tests.solvers.test_measured import T_V_C, legs
@@ -68,17 +68,6 @@ def test_weights_fall_from_one_to_zero_around_the_limit():
     assert wide[0] == 1
     assert wide[4] > 0 == wide[5]
     assert np.array_equal(narrow, beyond <= max(limit, 1.0))
-
-
-def test_a_station_keeps_one_leg():
-    """Without its images and its legs, nothing would hold it."""
-    legs, views = (
-        np.array([[0, 1], [1, 2], [2, 3], [4, 5]]),
-        np.array([False, True, False, True, True, False]),
-    )
-    used = _holding(legs, views, np.array([False, False, False, True]))
-    assert used.tolist() == [True, True, False, True]
-    assert _holding(legs, np.ones(6, dtype=bool), np.zeros(4, dtype=bool)).tolist() == [False] * 4
 
 
 def test_legs_without_weight_that_are_recordings_of_their_own():
