@@ -33,22 +33,22 @@ def require_stations(extraction: Extraction) -> None:
     counted = ", ".join(f"{n} x {reason}" for (_, reason), n in reasons)
     rejected = f"; rejected: {counted}" if counted else ""
     looked_at = extraction.counts.get("stations", have)
-    where = f"the board was found at {have} of {looked_at} stations"
-    if extraction.measured:
-        where = f"poses of {have} stations"
+    where = f"poses of {have} stations"
+    if not extraction.measured:
+        where = f"the board was found at {have} of {looked_at} stations"
     stage, reason = reasons[0][0] if reasons else ("", "")
-    cure = _more_stations(extraction, reason, have < looked_at and stage != "stations")
+    what_helps = _more_stations(extraction, reason, have < looked_at and stage != "stations")
     if have < FEWEST_STATIONS:
-        raise ObservationError(f"{where} (at least {FEWEST_STATIONS} needed){rejected}", cure)
+        raise ObservationError(f"{where} (at least {FEWEST_STATIONS} needed){rejected}", what_helps)
     raise ObservationError(
         f"{where} in {logs} recordings: only {have - logs} legs join consecutive stations of one recording "
         f"(at least {FEWEST_LEGS} needed){rejected}",
-        f"record more stations in each recording; {cure}",
+        f"record more stations in each recording; {what_helps}",
     )
 
 
 def _more_stations(extraction: Extraction, reason: str, without_board: bool) -> str:
-    """What to do about too few stations, the likeliest cause first; some may be rejected for want of the board."""
+    """What to do about too few stations, the likeliest cause first; images may lack the board."""
     have = len(extraction.observations)
     board, rejections = extraction.board, extraction.rejections
     if extraction.measured:
@@ -80,11 +80,11 @@ def _more_stations(extraction: Extraction, reason: str, without_board: bool) -> 
             "markers; or stand the board upright"
         )
     if not without_board:
-        more = {
+        of_reason = {
             NO_READINGS: "check that joints and wheels are recorded as long as the images, with stamps of one clock",
             FROZEN: "check the driver and the cable of the camera whose images do not change",
         }.get(reason, "stop at more places in front of the board")
-        return noting(more, extraction.first_notes)
+        return noting(of_reason, extraction.first_notes)
     return (
         f"keep the whole board in {extraction.rig.cameras.images_words}, at rest, in good light, with "
         f"{readable_words(board)}; where the robot hardly rests in front of it, use --stations all"
