@@ -32,7 +32,7 @@ def _tilt(tau_x: float, tau_y: float) -> FloatArray:
 
 def _distort_polynomial(D: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """plumb_bob, rational_polynomial: z = 1 coordinates (..., 2) → distorted, Jacobian (..., 2, 2)."""
-    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = np.pad(D, (0, 14 - len(D))).tolist()
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = (*map(float, D), *(0.0,) * (14 - len(D)))
     x, y = np.ascontiguousarray(np.moveaxis(points, -1, 0))
     xx, yy, xy = x * x, y * y, x * y
     q = xx + yy
@@ -64,7 +64,7 @@ def _distort_polynomial(D: FloatArray, points: FloatArray) -> tuple[FloatArray, 
 
 def _theta_distorted(D: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Equidistant model: angle to the axis, rad → radius at z = 1, and its derivative."""
-    k1, k2, k3, k4 = np.pad(D, (0, 4 - len(D))).tolist()
+    k1, k2, k3, k4 = (*map(float, D), *(0.0,) * (4 - len(D)))
     q = theta * theta
     radius = theta * (1 + q * (k1 + q * (k2 + q * (k3 + q * k4))))
     return radius, 1 + q * (3 * k1 + q * (5 * k2 + q * (7 * k3 + q * 9 * k4)))

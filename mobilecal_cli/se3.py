@@ -26,22 +26,25 @@ def skew(vector: FloatArray) -> FloatArray:
     return out
 
 
-def _coefficients(angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """sin(a)/a, (1 - cos(a))/a^2, (a - sin(a))/a^3, with their series near zero."""
+def _rodrigues(rotvec_rad: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """skew(v), and sin(a)/a, (1 - cos(a))/a^2, (a - sin(a))/a^3 with a = |v|, (..., 1, 1), by series near zero."""
+    angle = np.sqrt(np.sum(rotvec_rad * rotvec_rad, axis=-1))[..., None, None]
     small = angle < _SMALL_ANGLE_RAD
     safe = np.where(small, 1.0, angle)
-    square = angle**2
-    a = np.where(small, 1 - square / 6 * (1 - square / 20), np.sin(safe) / safe)
-    b = np.where(small, 0.5 - square / 24 * (1 - square / 30), 2 * (np.sin(safe / 2) / safe) ** 2)
-    c = np.where(small, 1 / 6 - square / 120 * (1 - square / 42), (safe - np.sin(safe)) / safe**3)
-    return a, b, c
+    sine = np.sin(safe)
+    a, b, c = sine / safe, 2 * (np.sin(safe / 2) / safe) ** 2, (safe - sine) / safe**3
+    if small.any():
+        square = angle**2
+        a = np.where(small, 1 - square / 6 * (1 - square / 20), a)
+        b = np.where(small, 0.5 - square / 24 * (1 - square / 30), b)
+        c = np.where(small, 1 / 6 - square / 120 * (1 - square / 42), c)
+    return skew(rotvec_rad), a, b, c
 
 
 def exp_so3(rotvec_rad: FloatArray) -> FloatArray:
     """Rotation matrix of a rotation vector (Rodrigues): (..., 3) → (..., 3, 3)."""
-    a, b, _ = _coefficients(np.linalg.norm(rotvec_rad, axis=-1))
-    hat = skew(rotvec_rad)
-    return np.eye(3) + a[..., None, None] * hat + b[..., None, None] * hat @ hat
+    hat, a, b, _ = _rodrigues(rotvec_rad)
+    return np.eye(3) + a * hat + b * hat @ hat
 
 
 def quaternion_xyzw(rotation: FloatArray) -> FloatArray:
@@ -87,9 +90,8 @@ def log_so3(rotation: FloatArray) -> FloatArray:
 
 def left_jacobian_so3(rotvec_rad: FloatArray) -> FloatArray:
     """J with exp(v + d) = exp(J d) exp(v) to first order: (..., 3) → (..., 3, 3)."""
-    _, b, c = _coefficients(np.linalg.norm(rotvec_rad, axis=-1))
-    hat = skew(rotvec_rad)
-    return np.eye(3) + b[..., None, None] * hat + c[..., None, None] * hat @ hat
+    hat, _, b, c = _rodrigues(rotvec_rad)
+    return np.eye(3) + b * hat + c * hat @ hat
 
 
 def transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
@@ -104,8 +106,10 @@ def transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
 
 def exp(twist: FloatArray) -> FloatArray:
     """Transform of a twist: (..., 6) → (..., 4, 4)."""
-    rotvec, tau = twist[..., :3], twist[..., 3:]
-    return transform(exp_so3(rotvec), (left_jacobian_so3(rotvec) @ tau[..., None])[..., 0])
+    hat, a, b, c = _rodrigues(twist[..., :3])
+    bent = b * hat
+    rotation, jacobian = np.eye(3) + a * hat + bent @ hat, np.eye(3) + bent + c * hat @ hat
+    return transform(rotation, (jacobian @ twist[..., 3:, None])[..., 0])
 
 
 def log(T: FloatArray) -> FloatArray:

@@ -20,6 +20,7 @@ _FEW_READINGS = 10  # of one wheel in one recording
 _CORRUPTED = 0.02  # share of the changes that may be anything
 _MOST_PARTS = 30  # steps in the smallest change
 _CHANGES_TRIED = 500  # enough to find no divisor of smooth readings, and fast
+_CHANGES_FIRST = 25  # of these: enough to exclude most candidates
 _BY_CHANCE = 1e-3  # probability
 _FEW_STEPS = 2.5  # between two readings: their middle is nearer to the truth than they are
 # Rates are means over the first to either side; accelerations over the second, as steps of encoders count twice there.
@@ -120,17 +121,20 @@ def encoder_step_rad(readings_rad: FloatArray) -> float:
     smallest = some[: int(_CORRUPTED * len(some)) + 1]
     smallest = smallest[np.append(True, np.diff(smallest) > _WHOLE_STEPS * smallest[:-1])]
     candidates = np.unique(np.append(smallest[:, None] / np.arange(1, _MOST_PARTS + 1), changes.min()))
-    for step in candidates[::-1]:
+    _, _, sound = _whole_steps(candidates[:, None], some[:: -(-len(some) // _CHANGES_FIRST)])
+    possible = np.count_nonzero(~sound, axis=1) <= _CORRUPTED * len(some)
+    for step in candidates[possible][::-1]:
         if _divides(step, some, len(candidates)) and _divides(step, changes, len(candidates)):
             multiples, _, sound = _whole_steps(step, changes)
             return float(np.median(changes[sound] / multiples[sound]))  # readings may be rounded
     return 0.0
 
 
-def _whole_steps(step: float, changes: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _whole_steps(step: float | FloatArray, changes: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Changes as numbers of steps, their distance from whole ones, and whether each is a whole one, not 0."""
-    multiples = np.round(changes / step)
-    off = np.abs(changes / step - multiples)
+    steps = changes / step
+    multiples = np.rint(steps)
+    off = np.abs(steps - multiples)
     return multiples, off, (off < _WHOLE_STEPS) & (multiples > 0)
 
 

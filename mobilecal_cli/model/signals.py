@@ -180,20 +180,25 @@ class Track(ReadOnly):
         interval, mean = np.diff(self.time_ns), (self.value[1:] + self.value[:-1]) / 2
         return np.append(0.0, np.cumsum(interval * (mean - interval * np.diff(self._slope) / 12)))
 
+    @cached_property
+    def _cubic(self) -> FloatArray:
+        """(5, n) length of the interval after each reading, ns, and coefficients of the curve by its share."""
+        interval = np.maximum(np.diff(self.time_ns, append=self.time_ns[-1]), 1).astype(np.float64)
+        way = np.diff(self.value, append=self.value[-1])
+        start, end = self._slope * interval, np.append(self._slope[1:], self._slope[-1]) * interval
+        return np.stack([interval, self.value, start, 3 * way - 2 * start - end, start + end - 2 * way])
+
     def _followed(self, times_ns: IntArray, integral: bool = False) -> FloatArray:
         """The curve at some times, or its integral from the first reading on; beyond its ends, the track rests."""
-        time_ns, value, slope = self.time_ns, self.value, self._slope
-        inside_ns = np.clip(times_ns, time_ns[0], time_ns[-1])
+        time_ns = self.time_ns
+        inside_ns = np.minimum(np.maximum(times_ns, time_ns[0]), time_ns[-1])
         at = np.searchsorted(time_ns[1:-1], inside_ns, side="right")
-        after = np.minimum(at + 1, len(value) - 1)
-        interval = np.maximum(time_ns[after] - time_ns[at], 1).astype(np.float64)
-        s, way = (inside_ns - time_ns[at]) / interval, value[after] - value[at]
-        start, end = slope[at] * interval, slope[after] * interval
-        square, cube = 3 * way - 2 * start - end, start + end - 2 * way
+        interval, value, start, square, cube = self._cubic.take(at, axis=1)
+        s = (inside_ns - time_ns[at]) / interval
         if not integral:
-            return np.asarray(value[at] + s * (start + s * (square + s * cube)))
-        within = s * (value[at] + s * (start / 2 + s * (square / 3 + s * cube / 4)))
-        ends = np.where(times_ns < inside_ns, value[0], value[-1])
+            return np.asarray(value + s * (start + s * (square + s * cube)))
+        within = s * (value + s * (start / 2 + s * (square / 3 + s * cube / 4)))
+        ends = np.where(times_ns < inside_ns, self.value[0], self.value[-1])
         return np.asarray(self._integral[at] + interval * within + (times_ns - inside_ns) * ends)
 
     def at(self, times_ns: IntArray) -> FloatArray:
