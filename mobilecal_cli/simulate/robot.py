@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import ClassVar, Final, Literal
 
 import numpy as np
@@ -132,6 +132,12 @@ def pose(xyz_m: FloatArray | Vector, rotation: Rotation) -> FloatArray:
     return T
 
 
+@cache
+def _origin(joint: RobotJoint) -> FloatArray:
+    """(4, 4) a joint at zero, in its parent link."""
+    return pose(joint.xyz_m, Rotation.from_euler("xyz", joint.rpy_rad))
+
+
 #: From the true head-eye transform to the nominal one: a few degrees and centimeters.
 _NOMINAL = pose((0.012, -0.008, 0.015), Rotation.from_euler("xyz", (1.5, -2.0, 1.0), degrees=True))
 
@@ -210,7 +216,7 @@ class SimulatedRobot:
         T_v_h = np.eye(4)
         angles = iter(joints_rad)
         for joint in self.joints:
-            T_v_h = T_v_h @ pose(joint.xyz_m, Rotation.from_euler("xyz", joint.rpy_rad))
+            T_v_h = T_v_h @ _origin(joint)
             if joint.name:
                 T_v_h = T_v_h @ pose((0, 0, 0), Rotation.from_rotvec(next(angles) * np.array(joint.axis)))
         return T_v_h

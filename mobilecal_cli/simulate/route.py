@@ -346,7 +346,7 @@ def plan_moving(planner: Planner, duration_s: float) -> Route:
     return Route("moving", drive, np.array([*knots_s, clock]), knots, no_rests, planner.T_w_k, planner.board)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def plan_route(
     robot: SimulatedRobot,
     motion: Motion = "standard",
