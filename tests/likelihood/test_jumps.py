@@ -59,12 +59,13 @@ def spliced(first, second, at=HALF):
 
 
 @pytest.mark.parametrize(
-    "at", [2, *(pytest.param(at, marks=pytest.mark.long) for at in (HALF, STATIONS - 2))]
+    ("at", "degrees"),
+    [(2, 0.8), *(pytest.param(at, 1.5, marks=pytest.mark.long) for at in (2, HALF, STATIONS - 2))],
 )
-def test_a_mount_that_turns_is_found(whole, at):
-    (jump,) = solve(spliced(whole, turned(np.radians(1.5)), at)).jumps
+def test_a_mount_that_turns_is_found(whole, at, degrees):
+    (jump,) = solve(spliced(whole, turned(np.radians(degrees)), at)).jumps
     assert (jump.part, jump.station, jump.rejected) == ("head mount", at, (0, 0))
-    assert jump.turn_rad == pytest.approx(np.radians(1.5), rel=0.2)
+    assert jump.turn_rad == pytest.approx(np.radians(degrees), rel=0.2)
     assert jump.shift_sigmas > 2
 
 

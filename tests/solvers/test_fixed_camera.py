@@ -108,7 +108,7 @@ def test_which_heads_show_the_height(axes, height):
 
 def test_wheels_of_different_size_do_not_turn_the_base():
     """Slopes of the floor were taken for turns: the start was off by a radian, and "did not converge" the answer."""
-    noise = Noise(0.005, 2e-4, 0.0, 0.0, floor_rad=2e-3, floor_m=5e-4)
+    noise = Noise(0.05, 2e-4, 0.0, 0.0, floor_rad=2e-3, floor_m=5e-4)
     extraction = simulated("straight", noise, "rgbd", 12, 8)
     (track,) = extraction.wheels
     wheels = WheelTrack.at_same_times(track.time_ns, track.right_rad, 1.01 * track.left_rad)

@@ -491,7 +491,7 @@ def test_wheels_that_differ_in_size_do_not_turn_a_base_that_drives_straight(turn
 
 def test_a_wrong_sign_is_named_where_wheels_are_early_in_motion():
     """By 80 ms, as where images are late: the cause was that "the readings of the wheels do not fit the drive"."""
-    made = simulated("moving", NOISE, ROBOT, 20, seed=4)
+    made = simulated("moving", NOISE, ROBOT, 10, seed=4, images=20)
     (track,) = made.wheels
     right, left = (replace(t, time_ns=t.time_ns - 80_000_000) for t in (track.right, track.left))
     wrong = replace(made, wheels=(replace(track, right=right, left=replace(left, value=-left.value)),))
