@@ -27,6 +27,6 @@ def small_uncertainty() -> Uncertainty:
     noise = NoiseLevels(**Noise.limits("guess"), wider={}, estimated=(), redundancy={})
     return Uncertainty(
         np.eye(9) * 1e-6, np.eye(9) * 1e-6, np.ones(9, bool), np.zeros((0, 9)), np.ones(9), np.ones(9), noise, np.zeros(9, bool),
-        np.ones(9), np.ones(9), np.zeros(9, bool), np.ones(9), AtWork(*[1e-3] * 7), np.eye(6), (),
+        np.ones(9), np.zeros(9, bool), np.ones(9), AtWork(*[1e-3] * 7), np.eye(6), (),
         Budget((), np.zeros((0, 9)), {}),
     )  # fmt: skip

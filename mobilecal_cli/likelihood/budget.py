@@ -226,18 +226,21 @@ def expected_gradient(lin: Posterior) -> FloatArray:
 
     The best values of the stations' unknowns make it least. In the likelihood of the other parameters alone, these
     integrated out, half the logarithm of the determinant of their information makes up for it (Laplace's
-    approximation): so this is minus its derivative. See `_of_size` and `_of_levers`.
+    approximation): so this is minus its derivative, see `_lengths` and `_of_levers`. It is less where the residuals are
+    smaller than the noise levels say.
     """
-    bias = np.zeros(lin.data.layout.size)
+    bias, (squares, redundancy) = np.zeros(lin.data.layout.size), _lengths(lin)
     if _SIZE in lin.data.layout.names:
-        bias[lin.data.layout.names.index(_SIZE)] = _of_size(lin)
+        bias[lin.data.layout.names.index(_SIZE)] = min(squares, redundancy)
+    share = min(squares / redundancy, 1.0) if redundancy else 0.0
     for joints, columns in _on_the_head(lin).items():
-        bias[columns] = _of_levers(lin, np.array(joints, dtype=np.bool_), lin.views.by_shared[:, :, columns])
+        of_levers = _of_levers(lin, np.array(joints, dtype=np.bool_), lin.views.by_shared[:, :, columns])
+        bias[columns] = share * of_levers
     return bias
 
 
-def _of_size(lin: Posterior) -> float:
-    """The part of `expected_gradient` by the size of the world.
+def _lengths(lin: Posterior) -> tuple[float, float]:
+    """Sum of squares of the residuals that are lengths, and how many of them are redundant.
 
     If the whole world shrinks, the images stay; what the wheels miss by and the heights of floor and sway shrink, and
     half their sum of squares falls, whatever the size of the world. The derivative is minus the number of these
@@ -253,7 +256,7 @@ def _of_size(lin: Posterior) -> float:
             of_level, free = each.shown(level)
             squares, redundancy = squares + float(of_level.sum()), redundancy + float(free.sum())
     # Far from the optimum, rounding is all.
-    return min(squares, max(redundancy, 0.0), 2.0 * (len(left) + lin.data.stations))
+    return squares, min(max(redundancy, 0.0), 2.0 * (len(left) + lin.data.stations))
 
 
 def _on_the_head(lin: Posterior) -> Mapping[tuple[bool, ...], list[int]]:

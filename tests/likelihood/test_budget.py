@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.likelihood.budget import expected_gradient
+from mobilecal_cli.likelihood.budget import _lengths, expected_gradient
 from mobilecal_cli.likelihood.dataset import Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
@@ -48,7 +48,8 @@ def test_stations_do_not_pull_at_the_levers_of_the_camera():
     state = start_state(data, parameters_of(imperfect.ROBOTS[case.robot]), everything)
     noise = Noise(**Noise.limits("guess"), wider={})
     lin, _ = optimize(Posterior.at(state, everything, noise, inference.priors(state)))
-    bias, normal, h = expected_gradient(lin), lin.normal, 1e-3
+    squares, redundancy = _lengths(lin)
+    bias, normal, h = expected_gradient(lin) * max(redundancy / squares, 1.0), lin.normal, 1e-3
     for name in (
         "r_y",
         "r_z",
