@@ -326,24 +326,30 @@ class Inference:
         self, fit: LikelihoodFit, written: LikelihoodFit
     ) -> tuple[jumps.ScoredJump, LikelihoodFit] | None:
         """The likeliest jump and the fit without it; of parts that explain about the same, the worst one."""
-        # Noise levels that a jump has made large conceal it: it shows at the usual ones.
+        # Noise levels that a jump has made large conceal it: it shows at the usual ones. Which part explains most is
+        # then compared at the levels of the residuals without it.
         usual = {name: min(getattr(fit.noise, name), getattr(self.guess, name)) for name in _CONCEALING}
         noise = fit.noise.with_levels({name: usual[name] for name in usual.keys() - self.given})
-        legs, start = fit.inliers.legs, jumps.traced(fit.lin)
-        # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
-        optimum = to_first_order(start.with_noise(noise))
-        ranked = jumps.likeliest(optimum)
-        across = self.data.legs[:, 1] == ranked[0].station if ranked else np.zeros_like(legs)
-        if not legs[across].all():  # it may be no slip, but what the jump is along the floor
-            optimum = to_first_order(optimum.with_inliers(replace(fit.inliers, legs=legs | across)))
+        inliers, start = fit.inliers, jumps.traced(fit.lin)
+        for _ in range(2):
+            # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
+            optimum = to_first_order(start.with_inliers(inliers).with_noise(noise))
             ranked = jumps.likeliest(optimum)
-        ranked = [jump for jump in ranked if jumps.lasts(optimum, jump)]
-        if not ranked or ranked[0].sigmas < _CANDIDATE_SIGMAS:
-            return None
-        lin = to_first_order(jumps.without(optimum, ranked[0]))
-        lin, _ = self._levels_near(lin, kept=frozenset(LENGTHS.values()))
-        jump = jumps.again(lin, ranked[0])
-        uneven = to_first_order(lin.with_noise(self._uneven(lin.noise)))
+            across = self.data.legs[:, 1] == ranked[0].station if ranked else np.zeros_like(inliers.legs)
+            if not inliers.legs[across].all():  # it may be no slip, but what the jump is along the floor
+                inliers = replace(inliers, legs=inliers.legs | across)
+                optimum = to_first_order(optimum.with_inliers(inliers))
+                ranked = jumps.likeliest(optimum)
+            ranked = [jump for jump in ranked if jumps.lasts(optimum, jump)]
+            if not ranked or ranked[0].sigmas < _CANDIDATE_SIGMAS:
+                return None
+            lin = to_first_order(jumps.without(optimum, ranked[0]))
+            lin, _ = self._levels_near(lin, kept=frozenset(LENGTHS.values()))
+            jump = jumps.again(lin, ranked[0])
+            if jump.sigmas < _CANDIDATE_SIGMAS:
+                return None
+            noise = lin.noise
+        uneven = to_first_order(lin.with_noise(self._uneven(noise)))
         if min(jump.sigmas, jumps.again(uneven, jump).sigmas) < JUMP_SIGMAS:
             return None
         jump = replace(jump, sigmas=jumps.significance(start, lin, jump))
