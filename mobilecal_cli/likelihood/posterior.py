@@ -178,16 +178,12 @@ def _by_errors(
 
 
 def moved_with(lin: Posterior, joints: BoolArray) -> FloatArray:
-    """(N, 6, 6) covariance of delta with the part of it that base poses, stance and some joints (J,) make (columns).
+    """(N, 6, 6) covariance of delta (rows) with the part of it (columns) by base, stance and some joints (J,).
 
-    That for known shared parameters.
+    For known shared parameters.
     """
     normal, of = lin.normal, np.append(joints, [True] * 3)
-    covariances = (
-        normal.stations.covariance()[0],
-        normal.own_covariance,
-        normal.board_covariance[lin.data.log],
-    )
+    covariances = lin.base_covariance[0], normal.own_covariance, normal.board_covariance[lin.data.log]
     delta = _by_errors(lin, lin.views.by_own, lin.views.by_board)
     part = _by_errors(lin, lin.views.by_own * of, 0.0)
     return np.asarray(sum(A @ C @ B.mT for A, C, B in zip(delta, covariances, part, strict=True)))
